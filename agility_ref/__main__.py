@@ -1,0 +1,7 @@
+"""``python -m agility_ref`` is ``agility-ref``."""
+
+import sys
+
+from agility_ref.cli import main
+
+sys.exit(main())

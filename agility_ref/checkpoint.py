@@ -1,0 +1,144 @@
+"""Checkpoints: one ``.npz`` a policy, and the numpy policy that runs from it.
+
+A file holds everything needed to act (weights **and** the observation normaliser) and
+everything needed to go on training (optimiser, counters), plus a JSON record of how it
+was made.  Nothing in it can execute code: ``np.load(allow_pickle=False)``.
+
+In:  a dict of arrays and a metadata dict.
+Out: the same, checked; or a :class:`Policy`, which needs numpy alone.
+"""
+
+import hashlib
+import json
+import os
+import platform
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from agility_ref.errors import UserError
+
+SCHEMA = "agility_ref/1"
+
+
+def versions() -> dict[str, str]:
+    """Return the versions and the machine that a checkpoint records."""
+    import mujoco
+
+    return {
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "mujoco": mujoco.__version__,
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+    }
+
+
+def save(path: Path, arrays: dict[str, np.ndarray], meta: dict) -> None:
+    """Write a checkpoint under a temporary name, then rename: never half a file."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    record = json.dumps({"schema": SCHEMA, **meta}, sort_keys=True)
+    partial = path.with_suffix(".partial")
+    with open(partial, "wb") as file:
+        np.savez_compressed(file, __meta__=np.array(record), **arrays)
+    os.replace(partial, path)
+
+
+def load(path: Path) -> tuple[dict[str, np.ndarray], dict]:
+    """Read a checkpoint.
+
+    Raises
+    ------
+    UserError : the file is missing, truncated, or not ours
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise UserError(f"no checkpoint at {path}")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        meta = json.loads(str(arrays.pop("__meta__")))
+        schema = meta["schema"]
+    except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+        raise UserError(f"{path} is not a readable agility_ref checkpoint ({error})") from None
+    if schema != SCHEMA:
+        raise UserError(f"{path} has schema {schema!r}, this version reads {SCHEMA!r}")
+    return arrays, meta
+
+
+def sha256(path: Path) -> str:
+    """Return the hex digest of a file, as the weights manifest records it."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def elu(x: np.ndarray) -> np.ndarray:
+    """x where positive, exp(x) - 1 elsewhere."""
+    return np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
+
+
+def mlp(x: np.ndarray, layers: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Apply linear layers (weight (out, in), bias (out,)) with ELU between them."""
+    for weight, bias in layers[:-1]:
+        x = elu(x @ weight.T + bias)
+    weight, bias = layers[-1]
+    return x @ weight.T + bias
+
+
+def layers_of(arrays: dict[str, np.ndarray], prefix: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Collect ``<prefix>.<i>.weight`` and ``.bias`` in the order of i."""
+    names = [n for n in arrays if n.startswith(f"{prefix}.") and n.endswith(".weight")]
+    names.sort(key=lambda n: int(n.split(".")[1]))
+    return [(arrays[n], arrays[n.replace(".weight", ".bias")]) for n in names]
+
+
+@dataclass(frozen=True)
+class Policy:
+    """An MLP with its observation normaliser, frozen; plain numpy."""
+
+    name: str
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+    mean: np.ndarray
+    """(obs_dim,) subtracted from the observation."""
+    std: np.ndarray
+    """(obs_dim,) divides the difference, which is then clipped to +-5."""
+    meta: dict
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, np.ndarray], meta: dict, source: str = "checkpoint") -> "Policy":
+        """Build a policy, checking names and shapes.
+
+        Raises
+        ------
+        UserError : arrays are missing, or their shapes do not fit together
+        """
+        try:
+            layers = layers_of(arrays, "actor")
+            mean, std = arrays["normalizer.mean"], np.sqrt(arrays["normalizer.var"] + 1e-8)
+            width = len(mean)
+            for weight, bias in layers:
+                if weight.shape != (len(bias), width):
+                    raise UserError(f"{source}: layer of shape {weight.shape}, expected {(len(bias), width)}")
+                width = len(bias)
+        except KeyError as error:
+            raise UserError(f"{source} lacks the array {error}") from None
+        if not layers or width != meta.get("act_dim", width):
+            raise UserError(f"{source} holds {len(layers)} actor layers with {width} outputs")
+        return cls(meta.get("policy", "?"), tuple(layers), mean, std.astype(np.float32), meta)
+
+    @classmethod
+    def load(cls, path: Path) -> "Policy":
+        """Read a policy from a checkpoint; see :func:`load` for what is refused."""
+        arrays, meta = load(path)
+        return cls.from_arrays(arrays, meta, str(path))
+
+    @property
+    def obs_dim(self) -> int:
+        """Length of the observation it takes."""
+        return len(self.mean)
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """Return the mean action (or logits) for observations (n, obs_dim)."""
+        x = np.clip((observation - self.mean) / self.std, -5.0, 5.0)
+        return mlp(x, self.layers)

@@ -1,0 +1,175 @@
+"""The command line: ``agility-ref train | evaluate | table1 | plot | list``.
+
+Every hyper-parameter is a flag, because every configuration is a frozen dataclass that
+tyro reads; the help text is the docstring of the field.  A mistake of the user prints one
+line and exits with status 2.
+"""
+
+import json
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from agility_ref.errors import UserError, unknown_name
+
+USAGE = """usage: agility-ref COMMAND [--help]
+
+  train POLICY                       train a policy (and what it needs)
+  evaluate POLICY --environment E    the four metrics of Table 1
+  table1                             all 43 cells beside the paper's
+  plot RUN...                        learning curves of run folders
+  list                               policies, environments, presets, weights
+"""
+
+
+def train(argv: list[str]) -> None:
+    """Train one policy."""
+    from agility_ref.runs import TrainConfig, train_policy
+
+    @dataclass(frozen=True)
+    class Train:
+        """Train a policy, and first whatever it needs: its warm start, its skills."""
+
+        policy: tyro.conf.Positional[str]
+        """See `agility-ref list`."""
+        config: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
+
+    args = tyro.cli(Train, args=argv, prog="agility-ref train")
+    print(f"done: {train_policy(args.policy, args.config)}")
+
+
+def evaluate(argv: list[str]) -> None:
+    """Evaluate one policy on one environment."""
+    from agility_ref.evaluate import METRICS, EvaluationConfig
+    from agility_ref.evaluate import evaluate as run
+    from agility_ref.runs import TrainConfig, load_policy
+
+    @dataclass(frozen=True)
+    class Evaluate:
+        """Play complete episodes with the deterministic policy; noise and pushes on."""
+
+        policy: tyro.conf.Positional[str]
+        """See `agility-ref list`."""
+        environment: str
+        """climb-gap, gap, beam or climb; or a training course: walk, climb-up, climb-down."""
+        config: Annotated[EvaluationConfig, tyro.conf.arg(name="")] = field(default_factory=EvaluationConfig)
+        train_seed: int = 0
+        """Training seed of the weights."""
+        out: str = ""
+        """Folder of runs to look in before the shipped weights; runs/<preset> by default."""
+        json: bool = False
+        """Print one JSON object."""
+
+    args = tyro.cli(Evaluate, args=argv, prog="agility-ref evaluate")
+    training = TrainConfig(preset=args.config.preset, seed=args.train_seed, out=args.out)
+    summary = run(load_policy(args.policy, training), args.environment, args.config).summary()
+    if args.json:
+        print(json.dumps(summary))
+        return
+    print(f"{args.policy} on {args.environment}: {summary['episodes']} episodes, {summary['environment_steps']} steps")
+    for metric in METRICS:
+        print(f"  {metric:18} {summary[metric]['mean']:8.3f} ± {summary[metric]['std']:.3f}")
+    print(f"  {'falls':18} {summary['falls']:8.3f}")
+
+
+def table1(argv: list[str]) -> None:
+    """Compute Table 1."""
+    from agility_ref import table1 as table
+    from agility_ref.evaluate import EvaluationConfig
+    from agility_ref.runs import TrainConfig
+
+    @dataclass(frozen=True)
+    class Table1:
+        """Evaluate every policy on every terrain and print the table beside the paper's."""
+
+        config: Annotated[EvaluationConfig, tyro.conf.arg(name="")] = field(default_factory=EvaluationConfig)
+        train: bool = False
+        """Train every policy first, from scratch; finished runs in --out are kept."""
+        train_seed: int = 0
+        """Training seed of the weights."""
+        out: str = ""
+        """Folder of runs; runs/<preset> by default."""
+        results: str = "results"
+        """Folder for table1.csv, table1.md and table1.png."""
+
+    args = tyro.cli(Table1, args=argv, prog="agility-ref table1")
+    training = TrainConfig(preset=args.config.preset, seed=args.train_seed, out=args.out)
+    if args.train:
+        table.train_all(training)
+
+    def on_cell(environment: str, policy: str) -> None:
+        print(f"\revaluating {policy} on {environment}" + " " * 20, end="", file=sys.stderr, flush=True)
+
+    cells, missing = table.compute(args.config, training, on_cell)
+    print("\r" + " " * 60 + "\r", end="", file=sys.stderr)
+    print(table.text(cells))
+    for line in missing:
+        print(f"missing: {line}")
+    filled = sum(cell["ours"] is not None for cell in cells.values())
+    title = f"Table 1, preset {args.config.preset}, {args.config.episodes} episodes a cell, training seed {args.train_seed}"
+    paths = table.write_all(cells, Path(args.results), title)
+    print(f"{filled} of {len(cells)} cells filled; mean ± std over episodes; wrote {', '.join(map(str, paths))}")
+
+
+def plot(argv: list[str]) -> None:
+    """Draw learning curves."""
+    from agility_ref.plots import learning_curve
+
+    @dataclass(frozen=True)
+    class Plot:
+        """Draw learning_curve.png in each run folder."""
+
+        runs: tyro.conf.Positional[tuple[str, ...]]
+        """Folders that hold a progress.csv."""
+
+    args = tyro.cli(Plot, args=argv, prog="agility-ref plot")
+    if not args.runs:
+        raise UserError("name at least one run folder")
+    for run in map(Path, args.runs):
+        if not (run / "progress.csv").is_file():
+            raise UserError(f"{run} holds no progress.csv")
+        learning_curve(run / "progress.csv", run / "learning_curve.png", run.parent.name)
+        print(run / "learning_curve.png")
+
+
+def list_names(argv: list[str]) -> None:
+    """Print what there is."""
+    from agility_ref.policies import ALIASES, ENVIRONMENTS, POLICIES, PRESETS
+    from agility_ref.runs import shipped_weights
+
+    print(f"environments: {' '.join(ENVIRONMENTS)}\npresets: {' '.join(PRESETS)}\n")
+    print(f"{'policy':16}{'trains on':58}{'quick':>8}{'full':>8}  weights shipped (preset: seeds)")
+    for spec in POLICIES.values():
+        shipped = [
+            f"{preset}: {' '.join(seeds)}"
+            for preset in PRESETS
+            if (seeds := [str(k) for k in range(10) if shipped_weights(preset, spec.name, k).exists()])
+        ]
+        budgets = "".join(f"{b / 1e6:7.1f}M" if b else f"{'-':>8}" for b in spec.budget)
+        print(f"{spec.name:16}{' '.join(spec.courses) or '-':58}{budgets}  {', '.join(shipped) or '-'}")
+    print("\n" + ", ".join(f"{alias} is {name}" for alias, name in ALIASES.items()))
+
+
+COMMANDS = {"train": train, "evaluate": evaluate, "table1": table1, "plot": plot, "list": list_names}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; return the exit status."""
+    argv = sys.argv[1:] if argv is None else argv
+    if not argv or argv[0] in ("-h", "--help"):
+        print(USAGE)
+        return 0 if argv else 2
+    try:
+        if argv[0] not in COMMANDS:
+            raise unknown_name("command", argv[0], COMMANDS)
+        COMMANDS[argv[0]](argv[1:])
+    except UserError as error:
+        print(f"agility-ref: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt as stopped:
+        print(f"agility-ref: {stopped or 'interrupted'}", file=sys.stderr)
+        return 130
+    return 0

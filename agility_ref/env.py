@@ -1,0 +1,484 @@
+"""Go1Env: N robots on one World, stepped together by ``mujoco.batch``.
+
+In:  a :class:`~agility_ref.terrain.World` and, each control step, N actions.
+Out: observation, reward, terminated, truncated, info.  See :class:`Go1Env`, whose
+docstring is the manual, and paper sections 3.1 and 4.1.
+"""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # spinning threads fight the simulation's
+
+import mujoco
+import numpy as np
+from mujoco import batch
+
+from agility_ref.go1 import DEFAULT_DOF_POS, FOOT_RADIUS, STAND_HEIGHT, PhysicsConfig, make_model
+from agility_ref.rewards import RewardConfig, StepState, compute_reward
+from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X, World
+
+SCANDOT_X = np.arange(-0.45, 1.21, 0.15, dtype=np.float32)  # (12,) [m] ahead of the trunk
+SCANDOT_Y = np.arange(-0.75, 0.76, 0.15, dtype=np.float32)  # (11,) [m] to its left
+NUM_SCANDOTS = len(SCANDOT_X) * len(SCANDOT_Y)  # 132
+
+OBSERVATION = {  # name: (size, noise amplitude)
+    "base_lin_vel": (3, 0.1),
+    "base_ang_vel": (3, 0.2),
+    "projected_gravity": (3, 0.03),
+    "heading_error": (2, 0.05),
+    "command": (1, 0.0),
+    "dof_pos": (12, 0.02),
+    "dof_vel": (12, 0.5),
+    "last_action": (12, 0.0),
+    "foot_contact": (4, 0.0),
+    "scandots": (NUM_SCANDOTS, 0.02),
+}
+OBS_DIM = sum(size for size, _ in OBSERVATION.values())  # 184
+ACTION_DIM = 12
+
+
+def observation_slices() -> dict[str, slice]:
+    """Where each part of the observation stands."""
+    ends = np.cumsum([size for size, _ in OBSERVATION.values()]).tolist()
+    return {name: slice(e - OBSERVATION[name][0], e) for name, e in zip(OBSERVATION, ends, strict=True)}
+
+
+SCANDOTS = observation_slices()["scandots"]
+NOISE = np.concatenate([np.full(n, a, np.float32) for n, a in OBSERVATION.values()])
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """Everything about the task but the courses."""
+
+    physics: PhysicsConfig = PhysicsConfig()
+    """Simulator and joint controller."""
+    rewards: RewardConfig = RewardConfig()
+    """Weights of the reward terms."""
+    clip_reward_at_zero: bool = False
+    """Clip the summed reward at zero as the original does; docs/training.md has the ablation."""
+    action_scale: float = 0.3
+    """Joint offset per unit of action [rad]; usual 0.25 to 0.5."""
+    action_limit: float = 4.0
+    """Actions are clipped to +- this; 4 x 0.3 = 1.2 rad, the original's limit."""
+    action_repeat: int = 1
+    """Control steps for which an action is held: the paper's "action stacking" ablation; 1 to 5."""
+    episode_seconds: float = 20.0
+    """An episode is truncated after this time [s]."""
+    command_low: float = 0.8
+    """Lowest commanded speed [m/s]; the original's 0.3 times out before the end of a course."""
+    command_high: float = 1.2
+    """Highest commanded speed [m/s]; original 0.8."""
+    waypoint_radius: float = 0.2
+    """A waypoint counts while the trunk's xy is within this distance [m]."""
+    waypoint_seconds: float = 0.1
+    """... and is reached after staying there for this long [s]."""
+    max_tilt: float = 1.4
+    """Angle between trunk and vertical beyond which a robot has tipped over [rad]."""
+    noise: float = 1.0
+    """Scale of the observation noise; 0 turns it off."""
+    push_interval: float = 6.0
+    """Seconds between pushes; 0 turns them off.  Original: 8 in training, 6 in evaluation."""
+    push_velocity: float = 0.5
+    """A push sets the horizontal velocity to a draw from +- this [m/s]."""
+    friction_low: float = 0.6
+    """Lowest ground friction, drawn per course; original 0.6."""
+    friction_high: float = 1.2
+    """Highest ground friction; original 2.0."""
+    payload_high: float = 2.0
+    """Highest mass added to the trunk [kg], drawn per course; original 3."""
+
+    @property
+    def dt(self) -> float:
+        """Control time step [s]."""
+        return self.physics.timestep * self.physics.substeps
+
+    def clean(self) -> "EnvConfig":
+        """Return the same task without noise, pushes and payload, at friction 1."""
+        return replace(
+            self, noise=0.0, push_interval=0.0, payload_high=0.0, friction_low=1.0, friction_high=1.0
+        )
+
+
+NextCourse = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
+
+
+def wrap(angle: np.ndarray) -> np.ndarray:
+    """Wrap angles [rad] to +-pi."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def rotation(quat: np.ndarray) -> np.ndarray:
+    """Rotation matrices (N, 3, 3), body to world, of unit quaternions (N, 4), wxyz."""
+    w, x, y, z = quat.T
+    return np.stack(
+        [
+            1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+            2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+            2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+        ],
+        axis=1,
+    ).reshape(-1, 3, 3)  # fmt: skip
+
+
+class Go1Env:
+    """N Unitree Go1s on the courses of a World.
+
+    **Action** (N, 12): joint position targets as offsets from the home pose, in units of
+    ``action_scale``; legs FR, FL, RR, RL, joints hip, thigh, calf.  MuJoCo position
+    actuators apply kp, kd and the torque limits.  50 Hz.
+
+    **Observation** (N, 184) float32, see OBSERVATION for the order and the noise:
+
+    ===================  ====  ===================================================
+    base_lin_vel            3  trunk velocity, trunk frame [m/s] (privileged)
+    base_ang_vel            3  trunk angular velocity, trunk frame [rad/s]
+    projected_gravity       3  unit gravity vector, trunk frame
+    heading_error           2  angle to this and to the next waypoint [rad]
+    command                 1  commanded speed [m/s]
+    dof_pos                12  joint angles minus the home pose [rad]
+    dof_vel                12  joint velocities [rad/s]
+    last_action            12  previous action
+    foot_contact            4  1 where a foot touches the ground
+    scandots              132  clip(trunk z - 0.3 - ground height, +-1) [m] at 12 x 11
+                               points 0.15 m apart, x -0.45..1.20, y +-0.75, turned
+                               with the yaw, x-major
+    ===================  ====  ===================================================
+
+    **Reward**: :mod:`agility_ref.rewards`; ``info["reward_terms"]`` holds every term.
+
+    **Start**: x = 1 m on the level platform, facing +x, home pose; position, yaw and
+    joints are perturbed a little.  A new command is drawn.
+
+    **Terminated**: tipped over (tilt above ``max_tilt``), left the lane, trunk below the
+    surface that should carry it, or, over a beam's span, no foot at the beam's height.
+
+    **Truncated**: 20 s, or the last waypoint reached.
+
+    **Autoreset**: Gymnasium's SAME_STEP.  ``info["final_observation"]`` (N, 184) holds the
+    true last observation; rows of unfinished robots equal the returned observation.
+    ``info["episode"]`` holds, for every robot, the running ``reward``, ``length``,
+    ``waypoints`` and ``edge`` sums *before* the reset; read the rows that are done.
+    ``info["feet_on_edge"]`` (N,) counts the feet that violate an edge in this step.
+
+    Foot positions and contacts are those at the start of the last physics step, 10 ms
+    before the state in the observation, as MuJoCo leaves them after ``mj_step``.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        num_envs: int,
+        config: EnvConfig = EnvConfig(),
+        next_course: NextCourse | None = None,
+        seed: int = 0,
+        num_threads: int = 0,
+    ):
+        """Compile one model a course and start N simulations.
+
+        Parameters
+        ----------
+        world : the courses
+        num_envs : N
+        config : the task
+        next_course : called with (robots, waypoint fractions or None), returns their next
+            courses; by default courses are drawn uniformly
+        seed : of friction and payload per course, and of everything drawn later
+        num_threads : simulation threads, 0 for all cores; results do not depend on it
+        """
+        self.world, self.num_envs, self.config = world, num_envs, config
+        self.next_course = next_course or self._draw_course
+        self.max_steps = round(config.episode_seconds / config.dt)
+        self._reach_steps = round(config.waypoint_seconds / config.dt)
+        self._push_steps = round(config.push_interval / config.dt)
+        self._level_course = world.kinds == "walk"
+        self._heights_flat = world.heights.reshape(-1)
+
+        model_rng = np.random.default_rng([seed, 1])
+        num_boxes = max(len(course.boxes) for course in world.courses)
+        self.models = [
+            make_model(
+                course,
+                config.physics,
+                num_boxes=num_boxes,
+                friction=model_rng.uniform(config.friction_low, config.friction_high),
+                payload=model_rng.uniform(0.0, config.payload_high),
+            )
+            for course in world.courses
+        ]
+        self.batch = batch.Batch(self.models[0], num_envs, num_threads)
+        self._home = self.models[0].key_qpos[0].copy()
+        self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        self._ctrl = self.batch.bind("ctrl")
+        self._sensors = self.batch.bind("sensordata")  # (N, 25), see go1.make_xml
+        self._foot_pos = self.batch.bind("site_xpos")  # (N, 4, 3)
+        self._torque = self.batch.bind("actuator_force")  # (N, 12)
+
+        n = num_envs
+        self.course = np.zeros(n, int)
+        self.waypoint_index = np.zeros(n, int)
+        self.command = np.ones(n)
+        self.base_lin_vel = np.zeros((n, 3))  # in the trunk's frame [m/s]
+        self.projected_gravity = np.zeros((n, 3))
+        self.yaw = np.zeros(n)  # [rad]
+        self.goal = np.zeros((n, 2))  # from the trunk to the current waypoint [m]
+        self.heading_error = np.zeros((n, 2))  # to the current and the next waypoint [rad]
+        self.foot_contact = np.zeros((n, 4), bool)
+        self.foot_on_edge = np.zeros((n, 4), bool)
+        self._reach_timer = np.zeros(n, int)
+        self._step_count = np.zeros(n, int)
+        self._push_offset = np.zeros(n, int)
+        self._last_action = np.zeros((n, ACTION_DIM))
+        self._episode_reward = np.zeros(n)
+        self._episode_edge = np.zeros(n)
+        self.simulation_errors = 0
+        self.reset(seed)
+
+    # ------------------------------------------------------------------ public
+
+    def reset(self, seed: int | None = None) -> tuple[np.ndarray, dict]:
+        """Start new episodes of all robots; return the observation and an empty info."""
+        if seed is not None:
+            # Streams of their own, drawn for all robots at once: two policies that are
+            # evaluated with one seed meet the same starts, noise and pushes.
+            self.rng, self._noise_rng, self._push_rng = (np.random.default_rng([seed, k]) for k in (2, 3, 4))
+        self._reset(np.arange(self.num_envs), None)
+        return self._observe(slice(None), self._draw_noise()), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
+        """Advance every robot by one control step (or ``action_repeat`` of them).
+
+        Raises
+        ------
+        ValueError : action of the wrong shape, or not finite
+        """
+        action = np.asarray(action, np.float64)
+        if action.shape != (self.num_envs, ACTION_DIM):
+            raise ValueError(f"action has shape {action.shape}, not {(self.num_envs, ACTION_DIM)}")
+        if not np.isfinite(action).all():
+            raise ValueError(f"action has {np.count_nonzero(~np.isfinite(action))} entries that are not finite")
+        c = self.config
+        action = np.clip(action, -c.action_limit, c.action_limit)
+        self._push()
+        # q_target = q_home + scale * action
+        self._ctrl[:] = DEFAULT_DOF_POS + c.action_scale * action
+        last_dof_vel = self._qvel[:, 6:].copy()
+        failed = self._simulate()
+
+        state = self._step_state(action, last_dof_vel)
+        reward, terms = compute_reward(state, c.rewards)
+        if c.clip_reward_at_zero:
+            reward = np.maximum(reward, 0.0)
+        self._last_action = action
+        self._step_count += 1
+        self._advance_waypoints()
+        finished = self.waypoint_index >= NUM_WAYPOINTS
+        terminated = (self._fallen() | failed) & ~finished
+        truncated = ~terminated & (finished | (self._step_count >= self.max_steps))
+
+        self._episode_reward += reward
+        feet_on_edge = state.foot_on_edge.sum(axis=1)
+        self._episode_edge += feet_on_edge
+        episode = {
+            "reward": self._episode_reward.copy(),
+            "length": self._step_count.copy(),
+            "waypoints": self.waypoint_index.copy(),
+            "edge": self._episode_edge.copy(),
+            "course": self.course.copy(),
+        }
+        noise = self._draw_noise()
+        observation = self._observe(slice(None), noise)
+        final_observation = observation
+        done = np.flatnonzero(terminated | truncated)
+        if len(done):
+            final_observation = observation.copy()
+            self._reset(done, episode["waypoints"][done] / NUM_WAYPOINTS)
+            observation[done] = self._observe(done, noise)
+        info = {
+            "final_observation": final_observation,
+            "episode": episode,
+            "reward_terms": terms,
+            "feet_on_edge": feet_on_edge,
+        }
+        return observation, reward, terminated, truncated, info
+
+    @property
+    def base_pos(self) -> np.ndarray:
+        """(N, 3) trunk position [m], a copy."""
+        return self._qpos[:, :3].copy()
+
+    def oracle_skill(self) -> np.ndarray:
+        """(N,) skill, an index into SKILLS, that the region map names at each robot's x."""
+        i, _ = self.world.cells(self._qpos[:, 0], self._qpos[:, 1])
+        return self.world.regions[self.course, i].astype(int)
+
+    # ------------------------------------------------------------------ simulation
+
+    def _simulate(self) -> np.ndarray:
+        """Run the physics steps; return which robots' simulations failed, (N,) bool."""
+        failed = np.zeros(self.num_envs, bool)
+        try:
+            self.batch.step(nstep=self.config.physics.substeps * self.config.action_repeat)
+        except batch.SimulationError as error:
+            failed[error.ids] = True
+        failed |= ~np.isfinite(self._qpos).all(axis=1)
+        self.simulation_errors += int(failed.sum())
+        return failed
+
+    def _push(self) -> None:
+        """Overwrite the horizontal velocity of the robots whose push is due."""
+        if not self._push_steps:
+            return
+        due = np.flatnonzero((self._step_count + self._push_offset + 1) % self._push_steps == 0)
+        v = self.config.push_velocity
+        self._qvel[due, :2] = self._push_rng.uniform(-v, v, (self.num_envs, 2))[due]
+
+    def _draw_course(self, ids: np.ndarray, waypoint_fraction: np.ndarray | None) -> np.ndarray:
+        return self.rng.integers(0, len(self.world), len(ids))
+
+    def _reset(self, ids: np.ndarray, waypoint_fraction: np.ndarray | None) -> None:
+        n, rng, c = len(ids), self.rng, self.config
+        self.course[ids] = self.next_course(ids, waypoint_fraction)
+        self.batch.set_models([self.models[k] for k in self.course])
+        self.batch.reset(ids, keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        qpos = np.tile(self._home, (n, 1))
+        qpos[:, 0] = SPAWN_X + rng.uniform(-0.1, 0.1, n)
+        qpos[:, 1] = rng.uniform(-0.1, 0.1, n)
+        qpos[:, 2] = STAND_HEIGHT + 0.02
+        yaw = rng.uniform(-0.1, 0.1, n)
+        qpos[:, 3], qpos[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
+        qpos[:, 7:] += rng.uniform(-0.1, 0.1, (n, ACTION_DIM))
+        self._qpos[ids] = qpos
+        self.command[ids] = rng.uniform(c.command_low, c.command_high, n)
+        self._push_offset[ids] = rng.integers(0, max(self._push_steps, 1), n)
+        for array in (
+            self.waypoint_index, self._reach_timer, self._step_count, self._last_action,
+            self._episode_reward, self._episode_edge, self.foot_contact, self.foot_on_edge,
+        ):  # fmt: skip
+            array[ids] = 0
+        self._update_kinematics(ids)
+        self._update_goal(ids)
+
+    # ------------------------------------------------------------------ state
+
+    def _update_kinematics(self, ids: np.ndarray | slice) -> None:
+        """Refresh what follows from the pose and velocity of robots ``ids``."""
+        r = rotation(self._qpos[ids, 3:7])
+        self.base_lin_vel[ids] = np.einsum("nij,ni->nj", r, self._qvel[ids, :3])  # R^T v
+        self.projected_gravity[ids] = -r[:, 2]  # R^T (0, 0, -1)
+        self.yaw[ids] = np.arctan2(r[:, 1, 0], r[:, 0, 0])
+
+    def _update_goal(self, ids: np.ndarray | slice) -> None:
+        """Refresh what follows from the pose and the waypoint index of robots ``ids``."""
+        course, index = self.course[ids], self.waypoint_index[ids]
+        for k in (1, 0):  # the current waypoint last, so that its vector stays
+            waypoint = self.world.waypoints[course, np.minimum(index + k, NUM_WAYPOINTS - 1)]
+            goal = waypoint - self._qpos[ids, :2]
+            self.heading_error[ids, k] = wrap(np.arctan2(goal[:, 1], goal[:, 0]) - self.yaw[ids])
+        self.goal[ids] = goal
+
+    def _step_state(self, action: np.ndarray, last_dof_vel: np.ndarray) -> StepState:
+        self._update_kinematics(slice(None))
+        self._update_goal(slice(None))
+        feet = self._sensors[:, :16].reshape(-1, 4, 4)  # (N, 4, [found, force xyz])
+        self.foot_contact = feet[:, :, 0] > 0
+        self.foot_on_edge = self.foot_contact & self._near_edge()
+        distance = np.maximum(np.hypot(self.goal[:, 0], self.goal[:, 1]), 1e-6)
+        return StepState(
+            dt=self.config.dt * self.config.action_repeat,
+            base_lin_vel=self.base_lin_vel,
+            base_ang_vel=self._qvel[:, 3:6],
+            projected_gravity=self.projected_gravity,
+            goal_velocity=(self._qvel[:, :2] * self.goal).sum(axis=1) / distance,
+            heading_error=self.heading_error[:, 0],
+            command=self.command,
+            on_level_course=self._level_course[self.course],
+            dof_pos=self._qpos[:, 7:],
+            dof_vel=self._qvel[:, 6:],
+            last_dof_vel=last_dof_vel,
+            torque=self._torque,
+            action=action,
+            last_action=self._last_action,
+            foot_force=feet[:, :, 1:],
+            foot_on_edge=self.foot_on_edge,
+            body_contact=self._sensors[:, 16:] > 0,
+        )
+
+    def _near_edge(self) -> np.ndarray:
+        """(N, 4) feet within 5 cm of an edge, sideways and in height."""
+        i, j = self.world.cells(self._foot_pos[:, :, 0], self._foot_pos[:, :, 1])
+        edge = self.world.edges[self.course[:, None], i, j]
+        return self._foot_pos[:, :, 2] - FOOT_RADIUS > edge - 0.05
+
+    def _advance_waypoints(self) -> None:
+        """Count the time near the current waypoint; move on when it has been reached."""
+        near = (self.goal**2).sum(axis=1) < self.config.waypoint_radius**2
+        self._reach_timer = np.where(near, self._reach_timer + 1, 0)
+        reached = self._reach_timer >= self._reach_steps
+        if reached.any():
+            self.waypoint_index += reached
+            self._reach_timer[reached] = 0
+            self._update_goal(np.flatnonzero(reached))
+
+    def _fallen(self) -> np.ndarray:
+        """(N,) tipped over, off the lane, below the support, or off the beam."""
+        x, y, z = self._qpos[:, 0], self._qpos[:, 1], self._qpos[:, 2]
+        i, _ = self.world.cells(x, y)
+        tipped = self.projected_gravity[:, 2] > -np.cos(self.config.max_tilt)
+        outside = (np.abs(y) > LANE_WIDTH / 2) | (x < 0)
+        below = z < self.world.support[self.course, i] + 0.05
+        # Beam tops stand at height 0 with the ground 0.2 m lower: 0.1 m separates the two.
+        off_beam = (self._foot_pos[:, :, 2] < FOOT_RADIUS - 0.1).all(axis=1)
+        return tipped | outside | below | (off_beam & self.world.over_beam[self.course, i])
+
+    def _scandots(self, ids: np.ndarray | slice) -> np.ndarray:
+        """(n, 132) clip(trunk z - 0.3 - ground height, +-1) [m]."""
+        x, y, z = self._qpos[ids, :3].astype(np.float32).T
+        yaw = self.yaw[ids].astype(np.float32)
+        cos, sin = np.cos(yaw)[:, None] / CELL, np.sin(yaw)[:, None] / CELL
+        nx, ny = GRID_SHAPE
+        # p = base + R(yaw) (dx, dy) in cells; the grid is separable, so two outer sums do
+        along_x = (x / CELL)[:, None] + cos * SCANDOT_X  # (n, 12)
+        along_y = ((y + LANE_WIDTH / 2) / CELL)[:, None] + sin * SCANDOT_X
+        i = (along_x[:, :, None] - (sin * SCANDOT_Y)[:, None, :]).astype(np.int32)  # (n, 12, 11)
+        j = (along_y[:, :, None] + (cos * SCANDOT_Y)[:, None, :]).astype(np.int32)
+        np.clip(i, 0, nx - 1, out=i)
+        np.clip(j, 0, ny - 1, out=j)
+        i *= ny
+        i += j
+        i += (self.course[ids] * (nx * ny)).astype(np.int32)[:, None, None]
+        ground = self._heights_flat.take(i).reshape(-1, NUM_SCANDOTS)
+        return np.clip((z - np.float32(0.3))[:, None] - ground, -1.0, 1.0)
+
+    def _draw_noise(self) -> np.ndarray | None:
+        """(N, 184) uniform observation noise, None where it is off."""
+        if not self.config.noise:
+            return None
+        noise = self._noise_rng.random((self.num_envs, OBS_DIM), np.float32)
+        noise -= 0.5
+        noise *= 2.0 * self.config.noise * NOISE
+        return noise
+
+    def _observe(self, ids: np.ndarray | slice, noise: np.ndarray | None) -> np.ndarray:
+        """(n, 184) observation of robots ``ids``, noise included, a fresh array."""
+        observation = np.concatenate(
+            [
+                self.base_lin_vel[ids],  # 3
+                self._qvel[ids, 3:6],  # 3
+                self.projected_gravity[ids],  # 3
+                self.heading_error[ids],  # 2
+                self.command[ids, None],  # 1
+                self._qpos[ids, 7:] - DEFAULT_DOF_POS,  # 12
+                self._qvel[ids, 6:],  # 12
+                self._last_action[ids],  # 12
+                self.foot_contact[ids],  # 4
+                self._scandots(ids),  # 132
+            ],
+            axis=1,
+            dtype=np.float32,
+        )
+        if noise is not None:
+            observation += noise[ids]
+        return observation

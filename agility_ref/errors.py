@@ -1,0 +1,20 @@
+"""The one exception for mistakes of the person at the keyboard.
+
+The command line prints its message on one line and exits with status 2; every other
+exception is a fault of ours and keeps its traceback.
+"""
+
+import difflib
+from collections.abc import Iterable
+
+
+class UserError(ValueError):
+    """What was given, and what is allowed, in one line."""
+
+
+def unknown_name(what: str, given: str, allowed: Iterable[str]) -> UserError:
+    """Return the error for a name that is not in ``allowed``, nearest names first."""
+    allowed = list(allowed)
+    near = difflib.get_close_matches(given, allowed, n=3, cutoff=0.4)
+    hint = f"did you mean {' or '.join(near)}?" if near else f"choose from {', '.join(allowed)}"
+    return UserError(f"unknown {what} {given!r}: {hint}")

@@ -1,0 +1,299 @@
+"""PPO: the whole algorithm, for the skills and for the selector.
+
+Paper section 3.2.1: the selector is "trained using the same PPO formulation used during
+training of low-level skills".  In: a vector environment with Gymnasium's SAME_STEP
+autoreset.  Out: a trained :class:`~agility_ref.networks.ActorCritic` and its normaliser,
+through a callback each iteration.
+
+Two things are done here that many references get wrong: a truncated episode bootstraps
+with the value of its **true final observation** and a terminated one does not bootstrap,
+and the normaliser is part of the policy.  What is simplified: the value loss is not
+clipped, and the normaliser changes between iterations, never within one.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from agility_ref.networks import ActorCritic, Categorical, Gaussian, Normalizer
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Hyper-parameters, the same for every policy of Table 1 unless said otherwise."""
+
+    num_envs: int = 256
+    """Robots simulated side by side; usual 64 to 4096."""
+    num_steps: int = 32
+    """Control steps per robot and iteration; usual 16 to 64."""
+    update_epochs: int = 4
+    """Passes over the batch per iteration; usual 3 to 10."""
+    num_minibatches: int = 4
+    """Minibatches per pass; usual 2 to 8."""
+    gamma: float = 0.99
+    """Discount per control step; usual 0.97 to 0.995."""
+    gae_lambda: float = 0.95
+    """Weight of longer returns in the advantage; usual 0.9 to 0.97."""
+    clip_coef: float = 0.2
+    """How far the policy ratio may move before its gradient stops; usual 0.1 to 0.3."""
+    vf_coef: float = 0.5
+    """Weight of the value loss; usual 0.5 to 1."""
+    ent_coef: float = 0.005
+    """Weight of the entropy bonus; usual 0 to 0.01."""
+    max_grad_norm: float = 1.0
+    """Gradients are scaled down to this norm; usual 0.5 to 1."""
+    learning_rate: float = 1e-3
+    """Start of the adaptive rate; usual 3e-4 to 1e-3."""
+    learning_rate_min: float = 1.5e-4
+    """Floor of the adaptive rate; 1e-5 stalls at batches of 8192."""
+    learning_rate_max: float = 3e-3
+    """Ceiling of the adaptive rate."""
+    target_kl: float = 0.01
+    """KL divergence per minibatch that the rate is steered to; usual 0.005 to 0.02."""
+    init_std: float = 0.8
+    """Standard deviation of the first policy; usual 0.5 to 1."""
+    hidden: tuple[int, ...] = (128, 128)
+    """Units of the hidden layers of actor and critic."""
+
+    @property
+    def batch_size(self) -> int:
+        """Environment steps per iteration."""
+        return self.num_envs * self.num_steps
+
+
+def gae(
+    rewards: np.ndarray,
+    values: np.ndarray,
+    next_values: np.ndarray,
+    terminated: np.ndarray,
+    truncated: np.ndarray,
+    gamma: float,
+    gae_lambda: float,
+) -> np.ndarray:
+    """Generalised advantage estimation (Schulman et al. 2016), all arrays (T, N).
+
+    Parameters
+    ----------
+    rewards : reward of step t
+    values : V(s_t)
+    next_values : V(s_{t+1}), where an episode ended of its true final observation
+    terminated, truncated : bool, how step t ended an episode; on both, it terminated
+
+    Returns
+    -------
+    advantages (T, N); advantages + values are the targets of the critic
+    """
+    # TD error: delta_t = r_t + gamma * V(s_{t+1}) * (1 - terminated_t) - V(s_t)
+    delta = rewards + gamma * next_values * ~terminated - values
+    # A_t = delta_t + gamma * lambda * A_{t+1}, cut where an episode ended either way
+    carry = gamma * gae_lambda * ~(terminated | truncated)
+    advantages = np.zeros_like(delta)
+    following = np.zeros_like(delta[0])
+    for t in reversed(range(len(delta))):
+        following = delta[t] + carry[t] * following
+        advantages[t] = following
+    return advantages
+
+
+def policy_loss(
+    log_prob: torch.Tensor, old_log_prob: torch.Tensor, advantage: torch.Tensor, clip_coef: float
+) -> torch.Tensor:
+    """Clipped surrogate (Schulman et al. 2017, equation 7), to be minimised; inputs (n,)."""
+    # r = pi(a|s) / pi_old(a|s);  L = -mean(min(r A, clip(r, 1 - eps, 1 + eps) A))
+    ratio = torch.exp(log_prob - old_log_prob)
+    clipped = torch.clamp(ratio, 1.0 - clip_coef, 1.0 + clip_coef)
+    return -torch.min(ratio * advantage, clipped * advantage).mean()
+
+
+def adapt_learning_rate(rate: float, kl: float, config: PPOConfig) -> float:
+    """Divide the rate by 1.5 where KL is above twice the target, multiply below half of it."""
+    if kl > 2.0 * config.target_kl:
+        rate /= 1.5
+    elif kl < 0.5 * config.target_kl:
+        rate *= 1.5
+    return float(np.clip(rate, config.learning_rate_min, config.learning_rate_max))
+
+
+@dataclass
+class Learner:
+    """What training changes: network, normaliser, optimiser, counters."""
+
+    net: ActorCritic
+    normalizer: Normalizer
+    config: PPOConfig
+    distribution: type = Gaussian
+    seed: int = 0
+    learning_rate: float = field(init=False)
+    steps: int = 0
+    """Environment steps so far, warm start included."""
+
+    def __post_init__(self):
+        self.learning_rate = self.config.learning_rate
+        self.optimizer = torch.optim.Adam(self.net.parameters(), self.learning_rate, fused=True)
+        self.generator = torch.Generator().manual_seed(self.seed)
+
+    @classmethod
+    def create(
+        cls,
+        obs_dim: int,
+        act_dim: int,
+        config: PPOConfig,
+        seed: int,
+        distribution: type = Gaussian,
+        fixed: slice = slice(0, 0),
+    ) -> "Learner":
+        """Start from scratch; ``fixed`` observations are scaled by hand (1 / 0.3)."""
+        torch.manual_seed(seed)
+        net = ActorCritic(obs_dim, act_dim, config.hidden, config.init_std)
+        return cls(net, Normalizer(obs_dim, fixed, 0.3), config, distribution, seed)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the network and the normaliser, as checkpoints hold them."""
+        n = self.normalizer
+        arrays = {name: p.detach().numpy().copy() for name, p in self.net.named_parameters()}
+        return arrays | {
+            "normalizer.mean": n.mean.copy(), "normalizer.var": n.var.copy(), "normalizer.count": np.array(n.count)
+        }  # fmt: skip
+
+    def training_arrays(self) -> dict[str, np.ndarray]:
+        """Return what resuming needs beyond :meth:`arrays`: Adam's moments and the rate."""
+        state = {"optimizer.learning_rate": np.array(self.learning_rate)}
+        for name, parameter in self.net.named_parameters():
+            for key, value in self.optimizer.state.get(parameter, {}).items():
+                state[f"optimizer.{name}.{key}"] = value.numpy().copy()
+        return state
+
+    def load_arrays(self, arrays: dict[str, np.ndarray]) -> None:
+        """Copy :meth:`arrays`, and :meth:`training_arrays` where present, into this learner."""
+        with torch.no_grad():
+            for name, parameter in self.net.named_parameters():
+                parameter.copy_(torch.from_numpy(arrays[name]))
+        n = self.normalizer
+        n.mean[:], n.var[:] = arrays["normalizer.mean"], arrays["normalizer.var"]
+        n.count = float(arrays["normalizer.count"])
+        self.learning_rate = float(arrays.get("optimizer.learning_rate", self.learning_rate))
+        for name, parameter in self.net.named_parameters():
+            keys = ("step", "exp_avg", "exp_avg_sq")
+            if f"optimizer.{name}.step" in arrays:
+                self.optimizer.state[parameter] = {
+                    key: torch.from_numpy(arrays[f"optimizer.{name}.{key}"].copy()) for key in keys
+                }
+
+
+@dataclass
+class Rollout:
+    """num_steps steps of every robot, arrays (T, N, ...)."""
+
+    obs: torch.Tensor
+    actions: torch.Tensor
+    rewards: np.ndarray
+    values: np.ndarray
+    next_values: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+    raw_obs: np.ndarray
+    """(T, N, obs_dim) before normalisation, for the normaliser."""
+    episodes: list[dict]
+    """One entry per episode that ended: reward, length, waypoints, edge, course."""
+
+
+@torch.inference_mode()
+def collect(env, learner: Learner, obs: np.ndarray) -> tuple[Rollout, np.ndarray]:
+    """Run the policy for num_steps; return the rollout and the next observation (N, obs_dim)."""
+    c, net, norm = learner.config, learner.net, learner.normalizer
+    T, N = c.num_steps, c.num_envs
+    raw_obs = np.zeros((T, N, obs.shape[1]), np.float32)
+    normalized = torch.zeros(raw_obs.shape)
+    rewards = np.zeros((T, N), np.float32)
+    terminated, truncated = np.zeros((T, N), bool), np.zeros((T, N), bool)
+    actions, episodes, cut_short = [], [], []
+    for t in range(T):
+        raw_obs[t] = obs
+        normalized[t] = torch.from_numpy(norm(obs))
+        action = learner.distribution.sample(net, normalized[t], learner.generator)
+        actions.append(action)
+        obs, rewards[t], terminated[t], truncated[t], info = env.step(action.numpy())
+        done = np.flatnonzero(terminated[t] | truncated[t])
+        episodes += [{key: value[i] for key, value in info["episode"].items()} for i in done]
+        for i in np.flatnonzero(truncated[t]):
+            cut_short.append((t, i, info["final_observation"][i]))
+    values = net.value(normalized.flatten(0, 1)).view(T, N).numpy()
+    next_values = np.concatenate([values[1:], net.value(torch.from_numpy(norm(obs))).numpy()[None]])
+    if cut_short:
+        t, i, final_obs = zip(*cut_short, strict=True)
+        next_values[list(t), list(i)] = net.value(torch.from_numpy(norm(np.stack(final_obs)))).numpy()
+    rollout = Rollout(
+        normalized, torch.stack(actions), rewards, values, next_values, terminated, truncated, raw_obs, episodes
+    )
+    return rollout, obs
+
+
+def update(learner: Learner, rollout: Rollout) -> dict[str, float]:
+    """One PPO update; return the mean losses, KL and clip fraction."""
+    c, net, dist = learner.config, learner.net, learner.distribution
+    advantages = gae(
+        rollout.rewards, rollout.values, rollout.next_values,
+        rollout.terminated, rollout.truncated, c.gamma, c.gae_lambda,
+    )  # fmt: skip
+    returns = torch.from_numpy(advantages + rollout.values).flatten()
+    advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+    b_advantages = torch.from_numpy(advantages).flatten()
+    b_obs, b_actions = rollout.obs.flatten(0, 1), rollout.actions.flatten(0, 1)
+    with torch.no_grad():
+        old = tuple(p.detach().clone() for p in dist.parameters(net, b_obs))
+        old_log_prob = dist.log_prob(old, b_actions)
+
+    sums = {"policy_loss": 0.0, "value_loss": 0.0, "entropy": 0.0, "kl": 0.0, "clip_fraction": 0.0}
+    for _ in range(c.update_epochs):
+        for mb in torch.randperm(len(b_obs), generator=learner.generator).chunk(c.num_minibatches):
+            new = dist.parameters(net, b_obs[mb])
+            log_prob = dist.log_prob(new, b_actions[mb])
+            with torch.no_grad():
+                old_mb = tuple(p[mb] if p.shape[0] == len(b_obs) else p for p in old)
+                kl = float(dist.kl(old_mb, new).mean())
+                clip_fraction = float(((log_prob - old_log_prob[mb]).exp() - 1).abs().gt(c.clip_coef).float().mean())
+            learner.learning_rate = adapt_learning_rate(learner.learning_rate, kl, c)
+            for group in learner.optimizer.param_groups:
+                group["lr"] = learner.learning_rate
+
+            pg_loss = policy_loss(log_prob, old_log_prob[mb], b_advantages[mb], c.clip_coef)
+            v_loss = 0.5 * ((net.value(b_obs[mb]) - returns[mb]) ** 2).mean()
+            entropy = dist.entropy(new)
+            loss = pg_loss + c.vf_coef * v_loss - c.ent_coef * entropy
+            learner.optimizer.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(net.parameters(), c.max_grad_norm)
+            learner.optimizer.step()
+            for key, value in zip(
+                sums, (pg_loss.detach(), v_loss.detach(), entropy.detach(), kl, clip_fraction), strict=True
+            ):
+                sums[key] += float(value)
+    learner.normalizer.update(rollout.raw_obs.reshape(-1, rollout.raw_obs.shape[-1]))
+    count = c.update_epochs * c.num_minibatches
+    return {key: value / count for key, value in sums.items()}
+
+
+def train(env, learner: Learner, total_steps: int, stop: Callable[[], bool] = lambda: False) -> Iterator[dict]:
+    """Alternate :func:`collect` and :func:`update` until ``total_steps``; yield each iteration's record."""
+    torch.set_num_threads(1)  # two threads fight the simulation's and gain nothing at this size
+    obs, _ = env.reset(learner.seed)
+    while learner.steps < total_steps and not stop():
+        start = time.perf_counter()
+        rollout, obs = collect(env, learner, obs)
+        collected = time.perf_counter()
+        losses = update(learner, rollout)
+        learner.steps += learner.config.batch_size
+        seconds = time.perf_counter() - start
+        yield {
+            "steps": learner.steps,
+            "steps_per_second": learner.config.batch_size / seconds,
+            "collect_seconds": collected - start,
+            "update_seconds": seconds - (collected - start),
+            "learning_rate": learner.learning_rate,
+            "std": float(learner.net.log_std.detach().exp().mean()),
+            "episodes": rollout.episodes,
+            **losses,
+        }

@@ -1,0 +1,183 @@
+"""Rewards: one function a term, one table of weights.
+
+The terms are those of the Extreme Parkour code base, which the paper uses "as per
+original paper" (section 3.2.2): github.com/chengxuxin/extreme-parkour,
+``legged_gym/envs/base/legged_robot.py``.  In: a :class:`StepState`, the robots' state
+after one control step.  Out: each term as an array over robots; the reward is
+
+    reward = dt * sum_k weight_k * term_k          (equation 1)
+
+What is simplified: nothing depends on simulator internals beyond contact forces, and
+torque *changes* (weight -1e-7 there, four orders below the next term) are left out.
+"""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from agility_ref.go1 import DEFAULT_DOF_POS
+
+
+@dataclass
+class StepState:
+    """What the reward terms read, for N robots after one control step."""
+
+    dt: float
+    """Control time step [s]."""
+    base_lin_vel: np.ndarray
+    """(N, 3) velocity of the trunk in its own frame [m/s]."""
+    base_ang_vel: np.ndarray
+    """(N, 3) angular velocity of the trunk in its own frame [rad/s]."""
+    projected_gravity: np.ndarray
+    """(N, 3) unit gravity vector in the trunk's frame; (0, 0, -1) when level."""
+    goal_velocity: np.ndarray
+    """(N,) world velocity along the direction of the current waypoint [m/s]."""
+    heading_error: np.ndarray
+    """(N,) angle from the robot's heading to the current waypoint [rad], in +-pi."""
+    command: np.ndarray
+    """(N,) commanded forward speed [m/s]."""
+    on_level_course: np.ndarray
+    """(N,) bool, robots on the walk course."""
+    dof_pos: np.ndarray
+    """(N, 12) [rad]"""
+    dof_vel: np.ndarray
+    """(N, 12) [rad/s]"""
+    last_dof_vel: np.ndarray
+    """(N, 12) one control step earlier [rad/s]."""
+    torque: np.ndarray
+    """(N, 12) [N m]"""
+    action: np.ndarray
+    """(N, 12) as given by the policy."""
+    last_action: np.ndarray
+    """(N, 12) one control step earlier."""
+    foot_force: np.ndarray
+    """(N, 4, 3) ground force on each foot in the world frame [N]."""
+    foot_on_edge: np.ndarray
+    """(N, 4) bool, foot in contact within 5 cm of an edge."""
+    body_contact: np.ndarray
+    """(N, 9) bool, trunk, thighs and calves touching the terrain."""
+
+
+def tracking_goal_vel(s: StepState) -> np.ndarray:
+    """min(v . direction to waypoint, command) / command; faster than asked earns nothing more."""
+    return np.minimum(s.goal_velocity, s.command) / s.command
+
+
+def tracking_yaw(s: StepState) -> np.ndarray:
+    """exp(-|heading error|)."""
+    return np.exp(-np.abs(s.heading_error))
+
+
+def lin_vel_z(s: StepState) -> np.ndarray:
+    """v_z^2, halved off the level course as in the original, where bodies must rise and fall."""
+    return s.base_lin_vel[:, 2] ** 2 * np.where(s.on_level_course, 1.0, 0.5)
+
+
+def ang_vel_xy(s: StepState) -> np.ndarray:
+    """w_x^2 + w_y^2."""
+    return s.base_ang_vel[:, 0] ** 2 + s.base_ang_vel[:, 1] ** 2
+
+
+def orientation(s: StepState) -> np.ndarray:
+    """g_x^2 + g_y^2, on the level course only as in the original."""
+    tilt = s.projected_gravity[:, 0] ** 2 + s.projected_gravity[:, 1] ** 2
+    return tilt * s.on_level_course
+
+
+def _sum_of_squares(x: np.ndarray) -> np.ndarray:
+    return np.einsum("ij,ij->i", x, x)
+
+
+def dof_acc(s: StepState) -> np.ndarray:
+    """sum_j ((qd_j - last qd_j) / dt)^2."""
+    return _sum_of_squares(s.dof_vel - s.last_dof_vel) / s.dt**2
+
+
+def torques(s: StepState) -> np.ndarray:
+    """sum_j tau_j^2."""
+    return _sum_of_squares(s.torque)
+
+
+def action_rate(s: StepState) -> np.ndarray:
+    """|a - last a|, the norm and not its square, as in the original."""
+    return np.sqrt(_sum_of_squares(s.action - s.last_action))
+
+
+def hip_pos(s: StepState) -> np.ndarray:
+    """sum over the 4 hip joints of (q - default)^2."""
+    return _sum_of_squares(s.dof_pos[:, 0::3] - DEFAULT_DOF_POS[0::3])
+
+
+def dof_error(s: StepState) -> np.ndarray:
+    """sum over all 12 joints of (q - default)^2."""
+    return _sum_of_squares(s.dof_pos - DEFAULT_DOF_POS)
+
+
+def collision(s: StepState) -> np.ndarray:
+    """Number of trunk, thighs and calves that touch the terrain."""
+    return s.body_contact.sum(axis=1, dtype=np.float64)
+
+
+def feet_stumble(s: StepState) -> np.ndarray:
+    """1 if any foot is pushed sideways more than 4 times as hard as upwards."""
+    sideways = s.foot_force[:, :, 0] ** 2 + s.foot_force[:, :, 1] ** 2
+    return (sideways > 16.0 * s.foot_force[:, :, 2] ** 2).any(axis=1).astype(np.float64)
+
+
+def feet_edge(s: StepState) -> np.ndarray:
+    """Number of feet in contact within 5 cm of an edge."""
+    return s.foot_on_edge.sum(axis=1, dtype=np.float64)
+
+
+def alive(s: StepState) -> np.ndarray:
+    """1.  Not in the original, where clipping at zero makes living worth more than falling."""
+    return np.ones(len(s.command))
+
+
+TERMS = {
+    f.__name__: f
+    for f in (
+        tracking_goal_vel, tracking_yaw, lin_vel_z, ang_vel_xy, orientation, dof_acc, torques,
+        action_rate, hip_pos, dof_error, collision, feet_stumble, feet_edge, alive,
+    )
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """The weight of every term [1/s]; docs/training.md shows what changing them does."""
+
+    tracking_goal_vel: float = 1.5
+    """Speed towards the waypoint; original 1.5."""
+    tracking_yaw: float = 0.5
+    """Facing the waypoint; original 0.5."""
+    lin_vel_z: float = -0.5
+    """Bouncing; original -1."""
+    ang_vel_xy: float = -0.05
+    """Rolling and pitching rates; original -0.05."""
+    orientation: float = -1.0
+    """Tilt on level ground; original -1."""
+    dof_acc: float = -2.5e-7
+    """Joint acceleration; original -2.5e-7."""
+    torques: float = -1e-5
+    """Joint torque; original -1e-5."""
+    action_rate: float = -0.03
+    """Change of action; original -0.1, which stops a beginner from moving at our budgets."""
+    hip_pos: float = -0.5
+    """Legs spread sideways; original -0.5."""
+    dof_error: float = -0.04
+    """Distance from the home pose; original -0.04."""
+    collision: float = -0.5
+    """Touching the terrain with anything but the feet; original -10."""
+    feet_stumble: float = -0.1
+    """Kicking vertical faces; original -1."""
+    feet_edge: float = -0.3
+    """Stepping on edges; original -1, there only on the hardest rows."""
+    alive: float = 0.5
+    """Not having fallen; original 0 with the sum clipped at zero."""
+
+
+def compute_reward(state: StepState, weights: RewardConfig) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return the reward (N,) and its weighted terms, which sum to it exactly (equation 1)."""
+    terms = {name: weight * state.dt * TERMS[name](state) for name, weight in asdict(weights).items()}
+    return np.sum(list(terms.values()), axis=0), terms

@@ -1,0 +1,347 @@
+"""Runs: train one named policy into one folder, resumably.
+
+    <out>/<policy>/seed<k>/  config.json  progress.csv  policy.npz  learning_curve.png  DONE
+
+Everything is written under a temporary name and renamed, DONE last.  A run that was
+stopped goes on from its folder; a finished one is never overwritten unless told to.
+
+In:  the name of a policy, a preset and a seed.
+Out: the folder, and the policies found in such folders or among the shipped weights.
+"""
+
+import csv
+import json
+import os
+import shutil
+import signal
+import time
+from collections import deque
+from dataclasses import asdict, dataclass, replace
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from agility_ref import checkpoint
+from agility_ref.checkpoint import Policy
+from agility_ref.curriculum import Curriculum, CurriculumConfig, training_world
+from agility_ref.env import ACTION_DIM, NUM_SCANDOTS, OBS_DIM, SCANDOTS, EnvConfig, Go1Env
+from agility_ref.errors import UserError
+from agility_ref.policies import PolicySpec, find_policy, find_preset, requirements
+from agility_ref.ppo import Learner, PPOConfig, train
+from agility_ref.selector import (
+    Hierarchy,
+    SelectorEnv,
+    Single,
+    SupervisedConfig,
+    collect_labels,
+    fit_selector,
+    oracle_hierarchy,
+    selector_hierarchy,
+)
+
+PROGRESS = (
+    "steps", "wall_seconds", "steps_per_second", "reward", "episode_length", "waypoint_fraction",
+    "edge_violation", "level", "std", "learning_rate", "kl", "clip_fraction", "policy_loss", "value_loss", "entropy",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """One training run."""
+
+    preset: str = "full"
+    """quick (d up to 0.4, small budgets) or full (d up to 1)."""
+    seed: int = 0
+    """Seed of courses, networks and exploration."""
+    out: str = ""
+    """Folder of runs; runs/<preset> by default."""
+    steps: int = 0
+    """Environment steps, warm start included; 0 for the policy's budget."""
+    overwrite: bool = False
+    """Replace a finished run."""
+    warm_start: bool = True
+    """Start from the policy that the table of policies names; False for from scratch."""
+    warm_std: float = 0.5
+    """Exploration noise after a warm start; usual 0.3 to 0.8."""
+    selector_ent_coef: float = 0.01
+    """Entropy bonus of the PPO selector, against mode collapse; usual 0.005 to 0.05."""
+    ppo: PPOConfig = PPOConfig()
+    """Hyper-parameters of PPO."""
+    env: EnvConfig = EnvConfig()
+    """The task."""
+    curriculum: CurriculumConfig = CurriculumConfig()
+    """The levels."""
+    supervised: SupervisedConfig = SupervisedConfig()
+    """Training of the supervised selector."""
+
+    @property
+    def root(self) -> Path:
+        """Folder that holds the runs."""
+        return Path(self.out or f"runs/{self.preset}")
+
+
+def run_folder(root: Path, policy: str, seed: int) -> Path:
+    """Return the folder of one run."""
+    return Path(root) / find_policy(policy).name / f"seed{seed}"
+
+
+def shipped_weights(preset: str, policy: str, seed: int) -> Path:
+    """Return where the package keeps the weights of a policy, whether or not it does."""
+    name = f"{find_policy(policy).name}-{preset}-seed{seed}.npz"
+    return Path(str(resources.files("agility_ref") / "weights" / name))
+
+
+def weights_path(policy: str, config: TrainConfig) -> Path:
+    """Find the weights of a policy: own runs first, then those shipped.
+
+    Raises
+    ------
+    UserError : neither exists; names the command that trains it
+    """
+    own = run_folder(config.root, policy, config.seed)
+    if (own / "DONE").exists():
+        return own / "policy.npz"
+    shipped = shipped_weights(config.preset, policy, config.seed)
+    if shipped.exists():
+        return shipped
+    raise UserError(
+        f"no weights for {policy}, preset {config.preset}, seed {config.seed}; "
+        f"train them with: agility-ref train {policy} --preset {config.preset} --seed {config.seed}"
+    )
+
+
+def load_policy(policy: str, config: TrainConfig) -> Single | Hierarchy:
+    """Load a policy of Table 1, its skills included, ready to act."""
+    spec = find_policy(policy)
+    skills = {name: Policy.load(weights_path(name, config)) for name in spec.skills}
+    if spec.method == "oracle":
+        return oracle_hierarchy(policy, skills)
+    own = Policy.load(weights_path(policy, config))
+    if spec.method == "ppo":
+        _check_shape(own, OBS_DIM, ACTION_DIM)
+        return Single(policy, own)
+    _check_shape(own, own.obs_dim if own.obs_dim in (OBS_DIM, NUM_SCANDOTS) else OBS_DIM, len(skills))
+    return selector_hierarchy(policy, skills, own)
+
+
+def _check_shape(policy: Policy, obs_dim: int, act_dim: int) -> None:
+    outputs = len(policy.layers[-1][1])
+    if (policy.obs_dim, outputs) != (obs_dim, act_dim):
+        raise UserError(
+            f"{policy.name}: network is {policy.obs_dim} -> {outputs}, this environment needs {obs_dim} -> {act_dim}"
+        )
+
+
+def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
+    """Train one policy and everything it needs that is missing; return its folder.
+
+    Raises
+    ------
+    UserError : unknown names, negative steps, a finished run in the way
+    """
+    spec = find_policy(name)
+    find_preset(config.preset)
+    if config.steps < 0:
+        raise UserError(f"steps must not be negative, got {config.steps}")
+    if spec.method == "oracle":
+        raise UserError("the oracle needs no training: it reads the region map; train its skills: " + ", ".join(spec.skills))
+    folder = run_folder(config.root, name, config.seed)
+    if (folder / "DONE").exists():
+        if not config.overwrite:
+            raise UserError(f"{folder} holds a finished run; choose another --out, or --overwrite to replace it")
+        shutil.rmtree(folder)
+    needs = requirements(name) if config.warm_start else spec.skills
+    for other in needs:
+        try:
+            weights_path(other, config)
+        except UserError:
+            train_policy(other, replace(config, steps=0, overwrite=False), quiet)
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_text(folder / "config.json", json.dumps({"policy": spec.name, **asdict(config)}, indent=1))
+    if spec.method == "supervised":
+        _train_supervised(spec, config, folder, quiet)
+    else:
+        _train_ppo(spec, config, folder, quiet)
+    return folder
+
+
+def _write_text(path: Path, text: str) -> None:
+    partial = path.with_suffix(".partial")
+    partial.write_text(text)
+    os.replace(partial, path)
+
+
+def _make_env(spec: PolicySpec, config: TrainConfig) -> tuple[Go1Env, Curriculum]:
+    """Build the training courses and the robots on them; seeds never meet those of evaluation."""
+    top = find_preset(config.preset).max_difficulty
+    world = training_world(spec.courses, config.curriculum, top, config.seed)
+    curriculum = Curriculum(len(spec.courses), config.ppo.num_envs, config.curriculum, config.seed)
+    env = Go1Env(world, config.ppo.num_envs, config.env, curriculum.next_course, config.seed)
+    return env, curriculum
+
+
+def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -> None:
+    from agility_ref.networks import Categorical, Gaussian
+    from agility_ref.plots import learning_curve
+
+    total = config.steps or spec.steps(config.preset)
+    ppo = config.ppo
+    selector = spec.method == "ppo-selector"
+    if selector:
+        ppo = replace(ppo, ent_coef=config.selector_ent_coef)
+        config = replace(config, curriculum=replace(config.curriculum, enabled=False))
+    env, curriculum = _make_env(spec, config)
+    act_dim = len(spec.skills) if selector else ACTION_DIM
+    learner = Learner.create(
+        OBS_DIM, act_dim, ppo, config.seed, Categorical if selector else Gaussian, fixed=SCANDOTS
+    )
+    if selector:
+        skills = {name: Policy.load(weights_path(name, config)) for name in spec.skills}
+        env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward)
+    rows = _resume_or_warm_start(spec, config, folder, learner, curriculum)
+    log = _ProgressLog(spec.name, folder, rows, total, quiet)
+    stop = _StopRequest()
+    last_save, start = time.monotonic(), time.monotonic() - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
+
+    def save() -> None:
+        arrays = learner.arrays() | learner.training_arrays() | {"curriculum.level": curriculum.level}
+        meta = {
+            "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": learner.steps,
+            "courses": spec.courses, "act_dim": act_dim, "obs_dim": OBS_DIM, "versions": checkpoint.versions(),
+            "wall_seconds": time.monotonic() - start, "config": asdict(config),
+        }  # fmt: skip
+        log.write()
+        checkpoint.save(folder / "policy.npz", arrays, meta)
+
+    with stop:
+        for iteration, record in enumerate(train(env, learner, total, stop.requested)):
+            log.add(record, time.monotonic() - start, curriculum.mean_level())
+            if time.monotonic() - last_save > 20.0:
+                save()
+                last_save = time.monotonic()
+            if iteration % 100 == 99:
+                learning_curve(folder / "progress.csv", folder / "learning_curve.png", spec.name)
+        log.close()
+        save()
+    if learner.steps < total:
+        raise KeyboardInterrupt(f"stopped at {learner.steps} of {total} steps; the same command goes on from {folder}")
+    learning_curve(folder / "progress.csv", folder / "learning_curve.png", spec.name)
+    _write_text(folder / "DONE", f"{learner.steps} steps\n")
+
+
+def _resume_or_warm_start(
+    spec: PolicySpec, config: TrainConfig, folder: Path, learner: Learner, curriculum: Curriculum
+) -> list[dict]:
+    """Load the folder's checkpoint, or the warm start; return the progress so far."""
+    saved = folder / "policy.npz"
+    if saved.exists():
+        arrays, meta = checkpoint.load(saved)
+        learner.load_arrays(arrays)
+        learner.steps = meta["steps"]
+        curriculum.load_state({"level": arrays["curriculum.level"]})
+        with open(folder / "progress.csv", newline="") as file:
+            return [row for row in csv.DictReader(file) if int(row["steps"]) <= learner.steps]
+    if spec.warm_start and config.warm_start:
+        arrays, meta = checkpoint.load(weights_path(spec.warm_start, config))
+        learner.load_arrays({k: v for k, v in arrays.items() if not k.startswith("optimizer.")})
+        learner.steps = meta["steps"]
+        learner.net.log_std.data.fill_(float(np.log(config.warm_std)))
+    return []
+
+
+def _train_supervised(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -> None:
+    """Collect oracle labels and fit the selector (paper section 3.2.3)."""
+    start = time.monotonic()
+    config = replace(config, curriculum=replace(config.curriculum, enabled=False))
+    env, _ = _make_env(spec, config)
+    skills = {name: Policy.load(weights_path(name, config)) for name in spec.skills}
+    oracle = oracle_hierarchy("oracle", skills)
+    rounds = config.supervised.dagger_rounds + 1
+    total = config.steps or spec.steps(config.preset)
+    actor, data, rows = oracle, [], []
+    for k in range(rounds):
+        data.append(collect_labels(env, actor, oracle, total // rounds))
+        scandots, labels = (np.concatenate(part) for part in zip(*data, strict=True))
+        arrays, losses = fit_selector(scandots, labels, len(skills), config.supervised, config.seed)
+        meta = {
+            "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": len(labels),
+            "courses": spec.courses, "act_dim": len(skills), "obs_dim": NUM_SCANDOTS,
+            "versions": checkpoint.versions(), "wall_seconds": time.monotonic() - start, "config": asdict(config),
+        }  # fmt: skip
+        actor = selector_hierarchy(spec.name, skills, Policy.from_arrays(arrays, meta))
+        rows += [{"round": k, "states": len(labels), "epoch": e, "cross_entropy": v} for e, v in enumerate(losses)]
+        if not quiet:
+            print(f"{spec.name}: round {k}, {len(labels)} states, cross-entropy {losses[-1]:.4f}")
+    _write_csv(folder / "progress.csv", rows)
+    checkpoint.save(folder / "policy.npz", arrays, meta)
+    _write_text(folder / "DONE", f"{len(labels)} states\n")
+
+
+def _write_csv(path: Path, rows: list[dict]) -> None:
+    partial = path.with_suffix(".partial")
+    with open(partial, "w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    os.replace(partial, path)
+
+
+class _ProgressLog:
+    """The progress bar and progress.csv of one run; averages over the last 200 episodes."""
+
+    def __init__(self, name: str, folder: Path, rows: list[dict], total: int, quiet: bool):
+        from tqdm import tqdm
+
+        self.path, self.rows, self.episodes = folder / "progress.csv", rows, deque(maxlen=200)
+        done = int(rows[-1]["steps"]) if rows else 0
+        self.bar = tqdm(total=total, initial=done, desc=name, unit="step", unit_scale=True, disable=quiet)
+
+    def add(self, record: dict, wall_seconds: float, level: float) -> None:
+        self.episodes.extend(record["episodes"])
+        episodes = list(self.episodes)
+
+        def mean(key: str) -> float:
+            return float(np.mean([e[key] for e in episodes])) if episodes else 0.0
+
+        length = max(mean("length"), 1.0)
+        figures = record | {
+            "wall_seconds": wall_seconds, "reward": mean("reward"), "episode_length": mean("length"),
+            "waypoint_fraction": mean("waypoints") / 8, "edge_violation": mean("edge") / length, "level": level,
+        }  # fmt: skip
+        self.rows.append({key: f"{figures[key]:.6g}" if key != "steps" else figures[key] for key in PROGRESS})
+        self.bar.update(record["steps"] - self.bar.n)
+        self.bar.set_postfix_str(
+            f"return {figures['reward']:.1f}, waypoints {figures['waypoint_fraction']:.2f}, level {level:.2f}"
+        )
+
+    def write(self) -> None:
+        if self.rows:
+            _write_csv(self.path, self.rows)
+
+    def close(self) -> None:
+        self.bar.close()
+
+
+class _StopRequest:
+    """Turns Ctrl-C and termination into a stop after the current iteration."""
+
+    def __init__(self):
+        self.asked = False
+
+    def requested(self) -> bool:
+        return self.asked
+
+    def _ask(self, signum, frame) -> None:
+        self.asked = True
+
+    def __enter__(self):
+        try:
+            self._previous = {s: signal.signal(s, self._ask) for s in (signal.SIGINT, signal.SIGTERM)}
+        except ValueError:  # not in the main thread: nobody can press Ctrl-C here
+            self._previous = {}
+        return self
+
+    def __exit__(self, *exc) -> None:
+        for signum, handler in self._previous.items():
+            signal.signal(signum, handler)

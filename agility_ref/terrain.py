@@ -1,0 +1,381 @@
+"""Terrain: courses as lists of boxes, and everything that follows from them.
+
+A course **is** a list of static, axis-aligned boxes (paper section 3.1.1, Figures 1
+and 3).  The physics, the height map under the scandots, the edge map behind "edge
+violation", the waypoints and the oracle's skill regions (section 3.2.1) are all read
+off that one list, so they cannot disagree.
+
+In:  a course kind, a difficulty d in [0, 1] and a ``numpy.random.Generator``.
+Out: a :class:`Course`; a :class:`World` stacks many of them into arrays.
+
+The dimensions are those of the Extreme Parkour code base that the paper stands on
+(github.com/chengxuxin/extreme-parkour, ``legged_gym/utils/terrain.py``).  What differs:
+
+* only ``walk`` is rough; the original adds roughness to every course;
+* steps and gaps span the whole lane, so nothing can be walked around;
+* pits deepen with the difficulty, which gives a beginner a shallow first gap;
+* ``beam`` and ``climb-gap`` are described, not dimensioned, in the paper: these are ours.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+SKILLS = ("walk", "climb-up", "climb-down", "leap", "beam")  # order of the oracle's labels
+COURSE_KINDS = ("walk", "climb-up", "climb-down", "climb", "gap", "beam", "climb-gap")
+
+CELL = 0.02  # [m] grid of the height map; every box edge lies on it, so the map is exact
+LANE_LENGTH = 18.0  # [m] along x
+LANE_WIDTH = 4.0  # [m] along y, centred on y = 0
+START_LENGTH = 2.5  # [m] level platform at height 0 on which every course begins
+SPAWN_X = 1.0  # [m]
+NUM_WAYPOINTS = 8
+NUM_OBSTACLES = 6
+GRID_SHAPE = (round(LANE_LENGTH / CELL), round(LANE_WIDTH / CELL))  # (nx, ny)
+
+EDGE_MIN_DROP = 0.075  # [m] a box top that drops more than this has an edge there
+EDGE_DISTANCE = 0.05  # [m] a foot in contact within this distance of an edge violates it
+
+LEAD = {"walk": 0.0, "climb-up": 0.6, "climb-down": 0.5, "leap": 0.7, "beam": 0.4}  # [m]
+TAIL = {"walk": 0.0, "climb-up": 0.3, "climb-down": 0.35, "leap": 0.35, "beam": 0.3}  # [m]
+
+
+@dataclass(frozen=True)
+class Box:
+    """One static block of terrain, ``x0 <= x <= x1``, ``y0 <= y <= y1``, all in [m]."""
+
+    x0: float
+    x1: float
+    y0: float
+    y1: float
+    top: float
+    """Height of the walking surface [m]."""
+    walkable: bool = True
+    """False for the floor of a pit: standing on it is having fallen off."""
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """The stretch ``x0 <= x <= x1`` [m] that needs ``skill`` (paper section 3.2.1)."""
+
+    x0: float
+    x1: float
+    skill: str
+
+
+@dataclass(frozen=True)
+class Course:
+    """One lane: its boxes, where to go, and which skill the oracle uses where."""
+
+    kind: str
+    difficulty: float
+    boxes: tuple[Box, ...]
+    obstacles: tuple[Obstacle, ...]
+    waypoints: np.ndarray
+    """(8, 2) xy of the waypoints [m]."""
+
+
+def snap(length: float) -> float:
+    """Round a length [m] to the grid of the height map."""
+    return round(length / CELL) * CELL
+
+
+def _slab(x0: float, x1: float, top: float, walkable: bool = True) -> Box:
+    """Return a box as wide as the lane."""
+    return Box(x0, x1, -LANE_WIDTH / 2, LANE_WIDTH / 2, top, walkable)
+
+
+def step_height(d: float) -> float:
+    """Height of one step [m]: 0.10 at d = 0, 0.45 at d = 1."""
+    return 0.10 + 0.35 * d
+
+
+def gap_width(d: float) -> float:
+    """Width of one gap [m]: 0.10 at d = 0, 0.80 at d = 1."""
+    return snap(0.10 + 0.70 * d)
+
+
+def beam_width(d: float) -> float:
+    """Width of a beam [m]: 0.60 at d = 0, 0.12 at d = 1; wider below d = 0."""
+    return 2 * snap((0.60 - 0.48 * d) / 2)
+
+
+def pit_depth(d: float) -> float:
+    """Depth of a pit [m]: 0.05 at d = 0, 1 from d = 0.475 on.  Ours: see the module."""
+    return float(np.clip(0.05 + 2.0 * d, 0.05, 1.0))
+
+
+def roughness(d: float) -> float:
+    """Height range of rough ground [m], lowest to highest tile: 0.02 at d = 0, 0.06 at d = 1."""
+    return 0.02 + 0.04 * d
+
+
+def _lateral(rng: np.random.Generator, amplitude: float) -> float:
+    """Draw a lateral offset [m], uniform in +-amplitude."""
+    return snap(rng.uniform(-amplitude, amplitude))
+
+
+def _walk(d: float, rng: np.random.Generator) -> Course:
+    """Rough ground: tiles of random height, zig-zag waypoints (the original's 'flat')."""
+    tile_x, tile_y = 0.5, 1.0
+    boxes = [_slab(0.0, START_LENGTH, 0.0)]
+    for x in np.arange(START_LENGTH, LANE_LENGTH - 1e-9, tile_x):
+        for y in np.arange(-LANE_WIDTH / 2, LANE_WIDTH / 2 - 1e-9, tile_y):
+            top = float(rng.uniform(-0.5, 0.5) * roughness(d))
+            boxes.append(Box(float(x), float(x) + tile_x, float(y), float(y) + tile_y, top))
+    spacing = rng.uniform(1.3, 1.9, NUM_WAYPOINTS - 1)
+    x = 2.0 + np.concatenate([[0.0], np.cumsum(spacing)])
+    y = [0.0] + [_lateral(rng, 0.4) for _ in range(NUM_OBSTACLES)] + [0.0]
+    return Course("walk", d, tuple(boxes), (), np.column_stack([x, y]))
+
+
+def _terraces(kind: str, levels: tuple[int, ...], d: float, rng: np.random.Generator) -> Course:
+    """Full-width treads at ``levels`` x the step height, after a start platform at 0."""
+    h = step_height(d)
+    boxes, obstacles = [_slab(0.0, START_LENGTH, 0.0)], []
+    waypoints = [(1.5, 0.0)]
+    x, previous = START_LENGTH, 0
+    for i, level in enumerate(levels):
+        last = i == len(levels) - 1
+        # The tread must hold the robot's 0.6 m, hence 0.5 where the original draws from 0.3.
+        length = snap(rng.uniform(0.5, 1.5) + h)
+        end = LANE_LENGTH if last else x + length
+        boxes.append(_slab(x, end, level * h))
+        if level > previous:
+            obstacles.append(Obstacle(x, x, "climb-up"))
+        elif level < previous:
+            obstacles.append(Obstacle(x, x, "climb-down"))
+        waypoints.append((x + (1.2 if last else length / 2), 0.0 if last else _lateral(rng, 0.4)))
+        x, previous = end, level
+    return Course(kind, d, tuple(boxes), tuple(obstacles), np.array(waypoints))
+
+
+def _climb(d: float, rng: np.random.Generator) -> Course:
+    """Up, up, up, level, down, down, drop (the original's 'step')."""
+    return _terraces("climb", (1, 2, 3, 3, 2, 1, 0), d, rng)
+
+
+def _climb_up(d: float, rng: np.random.Generator) -> Course:
+    """Six steps up and a landing."""
+    return _terraces("climb-up", (1, 2, 3, 4, 5, 6, 6), d, rng)
+
+
+def _climb_down(d: float, rng: np.random.Generator) -> Course:
+    """Six steps down and a landing."""
+    return _terraces("climb-down", (-1, -2, -3, -4, -5, -6, -6), d, rng)
+
+
+def _islands(kind: str, moves: str, d: float, rng: np.random.Generator) -> Course:
+    """Platforms separated, in the order of ``moves``, by gaps (g) and steps up (u) or down (d)."""
+    h, g = step_height(d), gap_width(d)
+    boxes, obstacles, waypoints = [_slab(0.0, START_LENGTH, 0.0)], [], [(2.0, 0.0)]
+    x, top = START_LENGTH, 0.0
+    for i, move in enumerate(moves):
+        if move == "g":
+            boxes.append(_slab(x, x + g, min(top, 0.0) - pit_depth(d), walkable=False))
+            obstacles.append(Obstacle(x, x + g, "leap"))
+            x += g
+        else:
+            top += h if move == "u" else -h
+            obstacles.append(Obstacle(x, x, "climb-up" if move == "u" else "climb-down"))
+        last = i == len(moves) - 1
+        length = snap(rng.uniform(0.8, 1.5))
+        end = LANE_LENGTH if last else x + length
+        boxes.append(_slab(x, end, top))
+        waypoints.append((x + (0.6 if last else length / 2), 0.0 if last else _lateral(rng, 0.3)))
+        x = end
+    waypoints.append((waypoints[-1][0] + 0.8, 0.0))
+    return Course(kind, d, tuple(boxes), tuple(obstacles), np.array(waypoints))
+
+
+def _gap(d: float, rng: np.random.Generator) -> Course:
+    """Six gaps across the lane, a pit below each."""
+    return _islands("gap", "gggggg", d, rng)
+
+
+def _climb_gap(d: float, rng: np.random.Generator) -> Course:
+    """Blocks climbed up and down, gaps between them: the paper's Climb+Gap."""
+    return _islands("climb-gap", "ugudgd", d, rng)
+
+
+def _beam(d: float, rng: np.random.Generator) -> Course:
+    """Six beams along the lane between full-width islands, ground 0.2 m below both sides."""
+    half, drop = beam_width(d) / 2, 0.2
+    boxes, obstacles, waypoints = [_slab(0.0, START_LENGTH, 0.0)], [], [(2.0, 0.0)]
+    x = START_LENGTH
+    for i in range(NUM_OBSTACLES):
+        length = snap(rng.uniform(0.9, 1.3))
+        y = _lateral(rng, 0.15)
+        boxes.append(Box(x, x + length, y - half, y + half, 0.0))
+        boxes.append(Box(x, x + length, -LANE_WIDTH / 2, y - half, -drop, walkable=False))
+        boxes.append(Box(x, x + length, y + half, LANE_WIDTH / 2, -drop, walkable=False))
+        obstacles.append(Obstacle(x, x + length, "beam"))
+        waypoints.append((x + length / 2, y))
+        x += length
+        end = LANE_LENGTH if i == NUM_OBSTACLES - 1 else x + snap(rng.uniform(0.7, 1.0))
+        boxes.append(_slab(x, end, 0.0))
+        x = end
+    waypoints.append((boxes[-1].x0 + 0.6, 0.0))
+    return Course("beam", d, tuple(boxes), tuple(obstacles), np.array(waypoints))
+
+
+GENERATORS = {
+    "walk": _walk,
+    "climb-up": _climb_up,
+    "climb-down": _climb_down,
+    "climb": _climb,
+    "gap": _gap,
+    "beam": _beam,
+    "climb-gap": _climb_gap,
+}
+
+
+def make_course(kind: str, difficulty: float, seed: int | np.random.Generator = 0) -> Course:
+    """Generate one course.
+
+    Parameters
+    ----------
+    kind : one of COURSE_KINDS
+    difficulty : d; the paper's range is 0 to 1, training may start lower
+    seed : integer seed or Generator; the same seed gives the same course
+
+    Raises
+    ------
+    ValueError : unknown kind, or a difficulty outside [-1, 1]
+    """
+    if kind not in GENERATORS:
+        raise ValueError(f"unknown course kind {kind!r}; choose from {', '.join(COURSE_KINDS)}")
+    if not -1.0 <= difficulty <= 1.0:
+        raise ValueError(f"difficulty {difficulty} is outside [-1, 1]")
+    return GENERATORS[kind](float(difficulty), np.random.default_rng(seed))
+
+
+# ---------------------------------------------------------------------------- maps
+
+
+def height_map(course: Course) -> np.ndarray:
+    """Surface height at every cell centre, shape GRID_SHAPE [m]."""
+    heights = np.full(GRID_SHAPE, -np.inf, np.float32)
+    for box in course.boxes:
+        i0, i1 = round(box.x0 / CELL), round(box.x1 / CELL)
+        j0, j1 = round((box.y0 + LANE_WIDTH / 2) / CELL), round((box.y1 + LANE_WIDTH / 2) / CELL)
+        cells = heights[i0:i1, j0:j1]
+        np.maximum(cells, box.top, out=cells)
+    assert np.isfinite(heights).all(), f"{course.kind}: boxes leave a hole in the lane"
+    return heights
+
+
+def edge_map(heights: np.ndarray, axes: str = "xy") -> np.ndarray:
+    """Height of the nearest edge where one is within EDGE_DISTANCE, +inf elsewhere.
+
+    An edge is a border between two cells whose heights differ by more than
+    EDGE_MIN_DROP; it stands at the height of the upper one.
+
+    Parameters
+    ----------
+    heights : (nx, ny) [m]
+    axes : "xy", or "x" for the original, which looks along x only
+    """
+    edges = np.full(heights.shape, np.inf, np.float32)
+    reach = int(np.floor(EDGE_DISTANCE / CELL + 0.5))  # cell centres within the distance
+    for axis in range(len(axes)):
+        h = np.moveaxis(heights, axis, 0)
+        marked = np.moveaxis(edges, axis, 0)  # a view: writes land in `edges`
+        border, other = np.nonzero(np.abs(np.diff(h, axis=0)) > EDGE_MIN_DROP)
+        top = np.maximum(h[border, other], h[border + 1, other])
+        for offset in range(1 - reach, reach + 1):
+            cell = np.clip(border + offset, 0, h.shape[0] - 1)
+            np.minimum.at(marked, (cell, other), top)
+    return edges
+
+
+def region_map(course: Course) -> np.ndarray:
+    """Skill the oracle uses at every x, shape (nx,), indices into SKILLS.
+
+    Each obstacle claims the stretch from LEAD before it to TAIL after it; an obstacle
+    keeps its tail before the next one's lead begins.  Everything else is walked.
+    """
+    regions = np.full(GRID_SHAPE[0], SKILLS.index("walk"), np.int8)
+    tail_end = 0.0
+    for obstacle in course.obstacles:
+        start = max(obstacle.x0 - LEAD[obstacle.skill], tail_end)
+        tail_end = obstacle.x1 + TAIL[obstacle.skill]
+        regions[round(start / CELL) : round(tail_end / CELL)] = SKILLS.index(obstacle.skill)
+    return regions
+
+
+def support_map(course: Course, body_reach: float = 0.45) -> np.ndarray:
+    """Lowest surface that may carry a robot at x, shape (nx,) [m].
+
+    Pits are bridged by the lower of their two banks, then the minimum over +-body_reach
+    is taken: a robot whose front feet are up a step still has its rear feet below.
+    """
+    nx = GRID_SHAPE[0]
+    surface = np.full(nx, np.nan)
+    for box in course.boxes:
+        if box.walkable:
+            cells = slice(round(box.x0 / CELL), round(box.x1 / CELL))
+            surface[cells] = np.fmin(surface[cells], box.top)
+    known = np.flatnonzero(~np.isnan(surface))
+    x = np.arange(nx)
+    left = known[np.clip(np.searchsorted(known, x, "right") - 1, 0, len(known) - 1)]
+    right = known[np.clip(np.searchsorted(known, x, "left"), 0, len(known) - 1)]
+    bridged = np.minimum(surface[left], surface[right])
+    reach = round(body_reach / CELL)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(bridged, reach, mode="edge"), 2 * reach + 1)
+    return windows.min(axis=1).astype(np.float32)
+
+
+def beam_map(course: Course) -> np.ndarray:
+    """Whether x lies over a beam's span, shape (nx,) bool."""
+    over = np.zeros(GRID_SHAPE[0], bool)
+    for obstacle in course.obstacles:
+        if obstacle.skill == "beam":
+            over[round(obstacle.x0 / CELL) : round(obstacle.x1 / CELL)] = True
+    return over
+
+
+class World:
+    """Many courses as arrays, each standing at the origin.
+
+    Attributes
+    ----------
+    courses : list of Course, length C
+    heights : (C, nx, ny) float32 [m]
+    edges : (C, nx, ny) float32 [m], height of a near edge or +inf
+    waypoints : (C, 8, 2) [m]
+    regions : (C, nx) int8, the oracle's skill
+    support : (C, nx) float32 [m], see :func:`support_map`
+    over_beam : (C, nx) bool
+    """
+
+    def __init__(self, courses: list[Course], edges: str = "xy"):
+        if not courses:
+            raise ValueError("a world needs at least one course")
+        self.courses = list(courses)
+        self.heights = np.stack([height_map(c) for c in courses])
+        self.edges = np.stack([edge_map(h, edges) for h in self.heights])
+        self.waypoints = np.stack([c.waypoints for c in courses])
+        self.regions = np.stack([region_map(c) for c in courses])
+        self.support = np.stack([support_map(c) for c in courses])
+        self.over_beam = np.stack([beam_map(c) for c in courses])
+
+    def __len__(self) -> int:
+        return len(self.courses)
+
+    @cached_property
+    def kinds(self) -> np.ndarray:
+        """(C,) kind of every course."""
+        return np.array([c.kind for c in self.courses])
+
+    @cached_property
+    def difficulties(self) -> np.ndarray:
+        """(C,) difficulty of every course."""
+        return np.array([c.difficulty for c in self.courses])
+
+    def cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return grid indices of points [m]; outside the lane, those of its border."""
+        i = np.clip((x * (1 / CELL)).astype(np.int32), 0, GRID_SHAPE[0] - 1)
+        j = np.clip(((y + LANE_WIDTH / 2) * (1 / CELL)).astype(np.int32), 0, GRID_SHAPE[1] - 1)
+        return i, j
