@@ -74,7 +74,7 @@ def sha256(path: Path) -> str:
 
 
 def elu(x: np.ndarray) -> np.ndarray:
-    """x where positive, exp(x) - 1 elsewhere."""
+    """X where positive, exp(x) - 1 elsewhere."""
     return np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
 
 

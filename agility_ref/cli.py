@@ -109,7 +109,9 @@ def table1(argv: list[str]) -> None:
     for line in missing:
         print(f"missing: {line}")
     filled = sum(cell["ours"] is not None for cell in cells.values())
-    title = f"Table 1, preset {args.config.preset}, {args.config.episodes} episodes a cell, training seed {args.train_seed}"
+    title = (
+        f"Table 1, preset {args.config.preset}, {args.config.episodes} episodes a cell, training seed {args.train_seed}"
+    )
     paths = table.write_all(cells, Path(args.results), title)
     print(f"{filled} of {len(cells)} cells filled; mean ± std over episodes; wrote {', '.join(map(str, paths))}")
 

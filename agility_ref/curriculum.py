@@ -40,9 +40,7 @@ def level_difficulties(kind: str, max_difficulty: float, num_levels: int) -> np.
     return np.linspace(EASIEST.get(kind, 0.0), max_difficulty, num_levels)
 
 
-def training_world(
-    kinds: tuple[str, ...], config: CurriculumConfig, max_difficulty: float, seed: int
-) -> World:
+def training_world(kinds: tuple[str, ...], config: CurriculumConfig, max_difficulty: float, seed: int) -> World:
     """Build the courses, ordered by kind, then level, then variant."""
     courses = [
         make_course(kind, d, np.random.default_rng([seed, k, level, variant]))

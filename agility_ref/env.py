@@ -97,9 +97,7 @@ class EnvConfig:
 
     def clean(self) -> "EnvConfig":
         """Return the same task without noise, pushes and payload, at friction 1."""
-        return replace(
-            self, noise=0.0, push_interval=0.0, payload_high=0.0, friction_low=1.0, friction_high=1.0
-        )
+        return replace(self, noise=0.0, push_interval=0.0, payload_high=0.0, friction_low=1.0, friction_high=1.0)
 
 
 NextCourse = Callable[[np.ndarray, np.ndarray | None], np.ndarray]

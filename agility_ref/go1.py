@@ -94,9 +94,7 @@ CALF_INERTIAL = (  # the same for all four legs, y offset included
 def _trunk_inertial(payload: float) -> str:
     # The payload [kg] is a uniform scaling of the trunk, so its centre of mass stays.
     scale = (TRUNK_MASS + payload) / TRUNK_MASS
-    inertia = np.array(
-        [0.0168128557, 0.063009565, 0.0716547275, -2.296769e-4, -2.945293e-4, -4.18731e-5]
-    )
+    inertia = np.array([0.0168128557, 0.063009565, 0.0716547275, -2.296769e-4, -2.945293e-4, -4.18731e-5])
     return (
         f'<inertial mass="{TRUNK_MASS * scale:.10g}" pos="0.0223 0.002 -0.0005" '
         f'fullinertia="{_vec(*(inertia * scale))}"/>'
@@ -167,8 +165,7 @@ def make_xml(
     # Sensor blocks, in this order: 4 x (found, force xyz in the world) of the feet,
     # then 9 x found of trunk, thighs and calves.
     feet = "\n".join(
-        f'<contact name="{leg}_foot" geom1="{leg}_foot" data="found force" reduce="netforce"/>'
-        for leg in LEGS
+        f'<contact name="{leg}_foot" geom1="{leg}_foot" data="found force" reduce="netforce"/>' for leg in LEGS
     )
     bodies = ["trunk"] + [f"{leg}_{part}" for leg in LEGS for part in ("thigh", "calf")]
     touches = "\n".join(f'<contact name="{name}_touch" geom1="{name}"/>' for name in bodies)

@@ -7,6 +7,8 @@ a categorical over skill indices for the selector.
 In:  observations (n, obs_dim).  Out: distributions over actions, and values.
 """
 
+import itertools
+
 import numpy as np
 import torch
 from torch import nn
@@ -51,7 +53,7 @@ class Normalizer:
 def _mlp(sizes: list[int], last_gain: float) -> nn.Sequential:
     """Linear layers with ELU between, orthogonal weights, zero biases."""
     modules: list[nn.Module] = []
-    for i, (n_in, n_out) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+    for i, (n_in, n_out) in enumerate(itertools.pairwise(sizes)):
         last = i == len(sizes) - 2
         linear = nn.Linear(n_in, n_out)
         nn.init.orthogonal_(linear.weight, last_gain if last else 2**0.5)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
-from agility_ref.networks import ActorCritic, Categorical, Gaussian, Normalizer
+from agility_ref.networks import ActorCritic, Gaussian, Normalizer
 
 
 @dataclass(frozen=True)

@@ -104,12 +104,12 @@ def action_rate(s: StepState) -> np.ndarray:
 
 
 def hip_pos(s: StepState) -> np.ndarray:
-    """sum over the 4 hip joints of (q - default)^2."""
+    """Sum over the 4 hip joints of (q - default)^2."""
     return _sum_of_squares(s.dof_pos[:, 0::3] - DEFAULT_DOF_POS[0::3])
 
 
 def dof_error(s: StepState) -> np.ndarray:
-    """sum over all 12 joints of (q - default)^2."""
+    """Sum over all 12 joints of (q - default)^2."""
     return _sum_of_squares(s.dof_pos - DEFAULT_DOF_POS)
 
 

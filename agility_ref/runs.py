@@ -145,7 +145,9 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
     if config.steps < 0:
         raise UserError(f"steps must not be negative, got {config.steps}")
     if spec.method == "oracle":
-        raise UserError("the oracle needs no training: it reads the region map; train its skills: " + ", ".join(spec.skills))
+        raise UserError(
+            "the oracle needs no training: it reads the region map; train its skills: " + ", ".join(spec.skills)
+        )
     folder = run_folder(config.root, name, config.seed)
     if (folder / "DONE").exists():
         if not config.overwrite:
@@ -193,9 +195,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
         config = replace(config, curriculum=replace(config.curriculum, enabled=False))
     env, curriculum = _make_env(spec, config)
     act_dim = len(spec.skills) if selector else ACTION_DIM
-    learner = Learner.create(
-        OBS_DIM, act_dim, ppo, config.seed, Categorical if selector else Gaussian, fixed=SCANDOTS
-    )
+    learner = Learner.create(OBS_DIM, act_dim, ppo, config.seed, Categorical if selector else Gaussian, fixed=SCANDOTS)
     if selector:
         skills = {name: Policy.load(weights_path(name, config)) for name in spec.skills}
         env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward)

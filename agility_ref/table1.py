@@ -9,7 +9,6 @@ In:  a preset, a seed, weights.  Out: cells, and the table as text, CSV, Markdow
 
 import csv
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
@@ -76,7 +75,12 @@ def compute(
 
 # ---------------------------------------------------------------------------- output
 
-HEADINGS = {"reward": "Reward", "episode_length": "Ep. length", "waypoint_fraction": "% WP", "edge_violation": "Violation"}
+HEADINGS = {
+    "reward": "Reward",
+    "episode_length": "Ep. length",
+    "waypoint_fraction": "% WP",
+    "edge_violation": "Violation",
+}
 DIGITS = {"reward": 2, "episode_length": 0, "waypoint_fraction": 2, "edge_violation": 2}
 
 
@@ -92,9 +96,7 @@ def markdown(cells: Cells) -> str:
     columns = [f"{HEADINGS[m]} {who}" for m in METRICS for who in ("ours", "paper")]
     lines = ["| Environment | Policy | " + " | ".join(columns) + " |", "|---" * (len(columns) + 2) + "|"]
     for (environment, label), cell in cells.items():
-        values = [
-            format_value(cell[who] and cell[who][m], m) for m in METRICS for who in ("ours", "paper")
-        ]
+        values = [format_value(cell[who] and cell[who][m], m) for m in METRICS for who in ("ours", "paper")]
         lines.append(f"| {environment} | {label} | " + " | ".join(values) + " |")
     return "\n".join(lines) + "\n"
 
@@ -122,9 +124,7 @@ def write_csv(cells: Cells, path: Path) -> None:
             numbers = [
                 v for who in ("ours", "paper") for m in METRICS for v in (cell[who][m] if cell[who] else ("", ""))
             ]
-            writer.writerow(
-                [environment, label, *("" if v == "" or np.isnan(v) else f"{v:.4f}" for v in numbers)]
-            )
+            writer.writerow([environment, label, *("" if v == "" or np.isnan(v) else f"{v:.4f}" for v in numbers)])
 
 
 def write_all(cells: Cells, folder: Path, title: str) -> list[Path]:
