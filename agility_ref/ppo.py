@@ -27,13 +27,13 @@ class PPOConfig:
 
     num_envs: int = 256
     """Robots simulated side by side; usual 64 to 4096."""
-    num_steps: int = 32
+    num_steps: int = 16
     """Control steps per robot and iteration; usual 16 to 64."""
     update_epochs: int = 4
     """Passes over the batch per iteration; usual 3 to 10."""
     num_minibatches: int = 4
     """Minibatches per pass; usual 2 to 8."""
-    gamma: float = 0.99
+    gamma: float = 0.98
     """Discount per control step; usual 0.97 to 0.995."""
     gae_lambda: float = 0.95
     """Weight of longer returns in the advantage; usual 0.9 to 0.97."""
@@ -48,10 +48,10 @@ class PPOConfig:
     learning_rate: float = 1e-3
     """Start of the adaptive rate; usual 3e-4 to 1e-3."""
     learning_rate_min: float = 1.5e-4
-    """Floor of the adaptive rate; 1e-5 stalls at batches of 8192."""
+    """Floor of the adaptive rate; 1e-5 stalls at batches of 4096."""
     learning_rate_max: float = 3e-3
     """Ceiling of the adaptive rate."""
-    target_kl: float = 0.01
+    target_kl: float = 0.02
     """KL divergence per minibatch that the rate is steered to; usual 0.005 to 0.02."""
     init_std: float = 0.8
     """Standard deviation of the first policy; usual 0.5 to 1."""

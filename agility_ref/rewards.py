@@ -153,7 +153,7 @@ class RewardConfig:
     """Facing the waypoint; original 0.5."""
     lin_vel_z: float = -0.5
     """Bouncing; original -1."""
-    ang_vel_xy: float = -0.05
+    ang_vel_xy: float = -0.02
     """Rolling and pitching rates; original -0.05."""
     orientation: float = -1.0
     """Tilt on level ground; original -1."""
