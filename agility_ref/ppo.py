@@ -33,7 +33,7 @@ class PPOConfig:
     """Passes over the batch per iteration; usual 3 to 10."""
     num_minibatches: int = 4
     """Minibatches per pass; usual 2 to 8."""
-    gamma: float = 0.98
+    gamma: float = 0.99
     """Discount per control step; usual 0.97 to 0.995."""
     gae_lambda: float = 0.95
     """Weight of longer returns in the advantage; usual 0.9 to 0.97."""
