@@ -17,7 +17,7 @@ from mujoco import batch
 
 from agility_ref.go1 import DEFAULT_DOF_POS, FOOT_RADIUS, STAND_HEIGHT, PhysicsConfig, make_model
 from agility_ref.rewards import RewardConfig, StepState, compute_reward
-from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X, World
+from agility_ref.terrain import CELL, EDGE_DISTANCE, GRID_SHAPE, LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X, World
 
 SCANDOT_X = np.arange(-0.45, 1.21, 0.15, dtype=np.float32)  # (12,) [m] ahead of the trunk
 SCANDOT_Y = np.arange(-0.75, 0.76, 0.15, dtype=np.float32)  # (11,) [m] to its left
@@ -64,7 +64,7 @@ class EnvConfig:
     action_limit: float = 4.0
     """Actions are clipped to +- this; 4 x 0.3 = 1.2 rad, the original's limit."""
     action_repeat: int = 1
-    """Control steps for which an action is held: the paper's "action stacking" ablation; 1 to 5."""
+    """Control steps for which an action is held, the paper's "action stacking" ablation; 1 to 5."""
     episode_seconds: float = 20.0
     """An episode is truncated after this time [s]."""
     command_low: float = 0.8
@@ -92,8 +92,8 @@ class EnvConfig:
 
     @property
     def dt(self) -> float:
-        """Control time step [s]."""
-        return self.physics.timestep * self.physics.substeps
+        """Time between two actions [s]."""
+        return self.physics.timestep * self.physics.substeps * self.action_repeat
 
     def clean(self) -> "EnvConfig":
         """Return the same task without noise, pushes and payload, at friction 1."""
@@ -246,7 +246,7 @@ class Go1Env:
         return self._observe(slice(None), self._draw_noise()), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
-        """Advance every robot by one control step (or ``action_repeat`` of them).
+        """Advance every robot by one control step, or by ``action_repeat`` of them.
 
         Raises
         ------
@@ -385,7 +385,7 @@ class Go1Env:
         self.foot_on_edge = self.foot_contact & self._near_edge()
         distance = np.maximum(np.hypot(self.goal[:, 0], self.goal[:, 1]), 1e-6)
         return StepState(
-            dt=self.config.dt * self.config.action_repeat,
+            dt=self.config.dt,
             base_lin_vel=self.base_lin_vel,
             base_ang_vel=self._qvel[:, 3:6],
             projected_gravity=self.projected_gravity,
@@ -408,7 +408,7 @@ class Go1Env:
         """(N, 4) feet within 5 cm of an edge, sideways and in height."""
         i, j = self.world.cells(self._foot_pos[:, :, 0], self._foot_pos[:, :, 1])
         edge = self.world.edges[self.course[:, None], i, j]
-        return self._foot_pos[:, :, 2] - FOOT_RADIUS > edge - 0.05
+        return np.abs(self._foot_pos[:, :, 2] - FOOT_RADIUS - edge) < EDGE_DISTANCE
 
     def _advance_waypoints(self) -> None:
         """Count the time near the current waypoint; move on when it has been reached."""
