@@ -130,8 +130,11 @@ def feet_edge(s: StepState) -> np.ndarray:
 
 
 def alive(s: StepState) -> np.ndarray:
-    """1.  Not in the original, where clipping at zero makes living worth more than falling."""
-    return np.ones(len(s.command))
+    """1 on the level course, 0 elsewhere, where it would pay to stand before an obstacle.
+
+    Not in the original, which keeps a beginner from falling on purpose by clipping at zero.
+    """
+    return s.on_level_course.astype(np.float64)
 
 
 TERMS = {
@@ -174,7 +177,7 @@ class RewardConfig:
     feet_edge: float = -0.3
     """Stepping on edges; original -1, there only on the hardest rows."""
     alive: float = 0.5
-    """Not having fallen; original 0 with the sum clipped at zero."""
+    """Not having fallen, on the level course; original 0, with the sum clipped at zero."""
 
 
 def compute_reward(state: StepState, weights: RewardConfig) -> tuple[np.ndarray, dict[str, np.ndarray]]:
