@@ -1,0 +1,46 @@
+# make table1 | test | lint | clean | help
+# Everything is installed into .venv, once; the stamp files there say what has been done.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+# The one command behind `make table1`: evaluates the shipped weights, trains nothing.
+# Add flags on the make line: make table1 FLAGS="--preset quick --episodes 16"
+TABLE1 = agility-ref table1 $(FLAGS)
+FLAGS ?=
+
+# The policies are small: more threads than one only wait for each other, and for the simulation's.
+export OPENBLAS_NUM_THREADS ?= 1
+export OMP_NUM_THREADS ?= 1
+
+.DEFAULT_GOAL := help
+.PHONY: help table1 test lint clean
+
+help:  ## print this list
+	@awk -F ':.*## ' '/^[a-z0-9]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' Makefile
+
+table1: $(VENV)/.installed  ## evaluate the shipped policies and print Table 1 beside the paper's
+	$(BIN)/$(TABLE1)
+
+test: $(VENV)/.installed-test  ## run the tests
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.installed-lint  ## check the style with ruff
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+clean:  ## remove the environment and what tools left behind; keeps runs/ and results/
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: setup.cfg pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e .
+	touch $@
+
+$(VENV)/.installed-%: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[$*]'
+	touch $@

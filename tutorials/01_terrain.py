@@ -1,0 +1,295 @@
+# %% [markdown]
+# # 1. Terrain: one list of boxes, five maps
+#
+# Everything in this project happens on a **course**: a lane 18 m long and 4 m wide with
+# six obstacles and eight waypoints.  A course is nothing but a list of blocks.  This
+# tutorial reads five things off that list: the heights, the robot's terrain scan, the
+# edges, the waypoints, and the map that tells the oracle which skill to use where (paper
+# section 3.2.1, Figure 3).
+#
+# Run it with `python tutorials/01_terrain.py`; it takes a few seconds.  Figures are PNG
+# files in the folder `figures/` of the directory you start it from.
+
+# %%
+from pathlib import Path
+
+import numpy as np
+from matplotlib.colors import ListedColormap
+from matplotlib.patches import Patch
+
+from agility_ref.env import SCANDOT_X, SCANDOT_Y, SCANDOTS, EnvConfig, Go1Env, wrap
+from agility_ref.plots import BLUE, RED, SKILL_COLOURS, new_figure
+from agility_ref.terrain import (
+    CELL,
+    COURSE_KINDS,
+    EDGE_DISTANCE,
+    EDGE_MIN_DROP,
+    LANE_LENGTH,
+    LANE_WIDTH,
+    SKILLS,
+    World,
+    beam_width,
+    edge_map,
+    gap_width,
+    height_map,
+    make_course,
+    region_map,
+    roughness,
+    step_height,
+)
+
+FIGURES = Path("figures")
+FIGURES.mkdir(exist_ok=True)
+EXTENT = (0.0, LANE_LENGTH, -LANE_WIDTH / 2, LANE_WIDTH / 2)  # [m] for pictures of the lane
+
+
+def save(figure, name):
+    """Write a figure and say where it went."""
+    figure.savefig(FIGURES / name, dpi=110)
+    print("figure:", (FIGURES / name).resolve())
+
+
+# %% [markdown]
+# ## 1.1 Boxes
+#
+# A box is an axis-aligned block.  We only care about its footprint and its top:
+#
+#     box_k = [x0, x1] x [y0, y1],  height top_k          [m]
+#
+# The physics engine gets exactly these boxes as solid blocks.  A box with
+# `walkable=False` is the floor of a pit: whoever stands there has fallen off.
+
+# %%
+course = make_course("climb-gap", difficulty=0.5, seed=1)
+print(f"a {course.kind} course of difficulty {course.difficulty} has {len(course.boxes)} boxes:")
+for box in course.boxes:
+    note = "" if box.walkable else "   (a pit)"
+    print(f"  x {box.x0:5.2f} .. {box.x1:5.2f} m   y {box.y0:+.1f} .. {box.y1:+.1f} m   top {box.top:+.3f} m{note}")
+
+# %% [markdown]
+# ## 1.2 The height map
+#
+# Where boxes overlap the highest one is what a foot meets:
+#
+#     h(x, y) = max { top_k : (x, y) in box_k }
+#
+# The map samples h at the centres of 2 cm cells.  Box edges are rounded to that grid
+# when a course is generated, so the map is exact and not an approximation.
+#
+# *A right figure:* seven lanes seen from the side.  `climb-up` is a staircase that only
+# rises, `climb-down` mirrors it, `climb` is a pyramid, `gap` is a comb, `beam` is flat because
+# the cut runs along its beams, and the bumps of `walk` are a few centimetres (mind its axis).
+
+# %%
+x = (np.arange(round(LANE_LENGTH / CELL)) + 0.5) * CELL  # (900,) cell centres [m]
+courses = {kind: make_course(kind, difficulty=0.7, seed=3) for kind in COURSE_KINDS}
+heights = {kind: height_map(c) for kind, c in courses.items()}  # kind -> (900, 200) [m]
+
+figure, axes = new_figure(len(COURSE_KINDS), 1, (9.0, 10.5))
+for axis, (kind, h) in zip(axes[:, 0], heights.items(), strict=True):
+    profile = h[:, h.shape[1] // 2]  # along y = 0
+    axis.fill_between(x, profile, profile.min() - 0.3, step="mid", color="#cccccc")
+    axis.step(x, profile, where="mid", color="#555555", linewidth=1)
+    axis.set(ylabel="height [m]", xlim=(0, LANE_LENGTH), ylim=(profile.min() - 0.3, profile.max() + 0.15))
+    axis.set_title(f"{kind}, d = {courses[kind].difficulty}", loc="left", fontsize=10)
+axes[-1, 0].set_xlabel("x [m], cut along y = 0")
+save(figure, "01_profiles.png")
+
+# %% [markdown]
+# ## 1.3 Waypoints
+#
+# Where to go is part of the course: eight points g_0 .. g_7 in the plane.  The robot is told
+# the angle it has to turn to face the next one.  With position p and yaw psi
+#
+#     heading error = wrap( atan2(g_y - p_y, g_x - p_x) - psi )      [rad], in +-pi
+#
+# *A right figure:* the same lanes from above.  Dark is low.  Black dots with a line are the
+# waypoints in order; they sit on solid ground, on the middle of every beam, and zig-zag.
+
+# %%
+figure, axes = new_figure(len(COURSE_KINDS), 1, (9.0, 12.5))
+for axis, (kind, h) in zip(axes[:, 0], heights.items(), strict=True):
+    # imshow wants rows = y, columns = x
+    image = axis.imshow(h.T, origin="lower", extent=EXTENT, cmap="cividis", aspect="auto", interpolation="nearest")
+    points = courses[kind].waypoints  # (8, 2)
+    axis.plot(points[:, 0], points[:, 1], color="black", linewidth=0.8)
+    axis.scatter(points[:, 0], points[:, 1], s=22, color="white", edgecolor="black", zorder=3)
+    axis.set(ylabel="y [m]")
+    axis.set_title(kind, loc="left", fontsize=10)
+    figure.colorbar(image, ax=axis, label="height [m]", pad=0.01)
+axes[-1, 0].set_xlabel("x [m]")
+save(figure, "01_from_above.png")
+
+goal = courses["walk"].waypoints[1]
+for x_robot, yaw in ((1.0, 0.0), (1.0, 0.5), (5.0, -3.0)):  # [m], [rad]; the last one has run past it
+    raw = np.arctan2(goal[1] - 0.0, goal[0] - x_robot) - yaw
+    print(f"robot at x = {x_robot} m, yaw {yaw:+.1f} rad: heading error {raw:+.2f}, wrapped {wrap(raw):+.2f} rad")
+
+# %% [markdown]
+# **Predict, then run.**  `wrap` changes one of the three errors above.  Which way would that
+# robot turn without it?  Move the robot to x = 3 m and predict the new numbers.
+
+# %% [markdown]
+# ## 1.4 Difficulty
+#
+# One number d sets every dimension, linearly:
+#
+#     step(d) = 0.10 + 0.35 d       gap(d) = 0.10 + 0.70 d       beam width(d) = 0.60 - 0.48 d      [m]
+#
+# Gaps and beams are rounded to the 2 cm grid (a beam to twice that, it is symmetric).  The
+# shaded part is the range of the `quick` preset; `full` goes to d = 1.  A Go1 stands 0.29 m
+# tall at the hips, which tells you what a 0.45 m step means.
+#
+# *A right figure:* three lines, two rising and one falling, two of them with small stairs.
+
+# %%
+d = np.linspace(0, 1, 2001)
+figure, axes = new_figure(1, 1, (7.0, 4.0))
+axis = axes[0, 0]
+axis.axvspan(0, 0.4, color="#eeeeee", label="range of preset quick")
+axis.plot(d, [step_height(v) for v in d], color=BLUE, label="step height")
+axis.plot(d, [gap_width(v) for v in d], color=RED, label="gap width")
+axis.plot(d, [beam_width(v) for v in d], color=SKILL_COLOURS["beam"], label="beam width")
+axis.plot(d, [roughness(v) for v in d], color=SKILL_COLOURS["walk"], label="roughness of walk")
+axis.axhline(0.29, color="black", linewidth=0.8, linestyle=":", label="height of the Go1's hips")
+axis.set(xlabel="difficulty d [-]", ylabel="length [m]", xlim=(0, 1), ylim=(0, 0.85))
+axis.legend(fontsize=8)
+axis.grid(alpha=0.3)
+save(figure, "01_difficulty.png")
+
+# %% [markdown]
+# ## 1.5 Scandots: what the robot sees
+#
+# The paper gives its policies 132 *scandots*: ground heights on a 12 x 11 grid that moves
+# and turns with the robot.  With trunk position (p_x, p_y, z), yaw psi and grid offsets (a, b),
+#
+#     point  = (p_x, p_y) + R(psi) (a, b)
+#     dot    = clip( z - 0.3 - h(point), -1, +1 )                    [m]
+#
+# so 0 means "ground at standing distance", positive means lower, negative means higher.
+
+
+# %%
+def scandots(position, yaw, h):
+    """The 132 scandots of one robot; returns their xy (132, 2) and values (132,) [m]."""
+    a, b = np.meshgrid(SCANDOT_X, SCANDOT_Y, indexing="ij")  # (12, 11) each, x-major
+    px = position[0] + np.cos(yaw) * a - np.sin(yaw) * b
+    py = position[1] + np.sin(yaw) * a + np.cos(yaw) * b
+    i = np.clip((px / CELL).astype(int), 0, h.shape[0] - 1)
+    j = np.clip(((py + LANE_WIDTH / 2) / CELL).astype(int), 0, h.shape[1] - 1)
+    dots = np.clip(position[2] - 0.3 - h[i, j], -1.0, 1.0)
+    return np.stack([px.ravel(), py.ravel()], axis=1), dots.ravel()
+
+
+# %% [markdown]
+# The environment computes the same thing for all robots at once.  To compare, we put three
+# robots in front of the first gap, looking left, ahead and right, let the simulation take one
+# control step, and read the dots out of the observation.
+#
+# *A right figure:* three fans of dots over the same gap, turned by the yaw; dots over the pit
+# are red (lower), dots over level ground pale.
+
+# %%
+kind = "gap"
+yaws = np.array([0.5, 0.0, -0.5])  # [rad]
+env = Go1Env(World([courses[kind]]), num_envs=3, config=EnvConfig().clean())
+env.reset(seed=0)
+qpos = env.batch.bind("qpos")  # (3, 19): xyz, quaternion wxyz, 12 joints; a live view
+qpos[:, 0], qpos[:, 1] = 1.93, 0.0
+qpos[:, 3:7] = np.stack([np.cos(yaws / 2), 0 * yaws, 0 * yaws, np.sin(yaws / 2)], axis=1)
+observation, *_ = env.step(np.zeros((3, 12)))
+
+figure, axes = new_figure(1, 3, (11.0, 3.5))
+difference = []
+for k, axis in enumerate(axes[0]):
+    points, dots = scandots(env.base_pos[k], env.yaw[k], heights[kind])
+    difference.append(np.abs(dots - observation[k, SCANDOTS]).max())
+    axis.imshow(heights[kind].T, origin="lower", extent=EXTENT, cmap="Greys_r", interpolation="nearest", alpha=0.5)
+    shown = axis.scatter(
+        points[:, 0], points[:, 1], c=dots, cmap="coolwarm", vmin=-1, vmax=1, s=26, edgecolor="#444444", linewidth=0.3
+    )
+    axis.plot(*env.base_pos[k, :2], marker="^", color="black", markersize=9)
+    axis.set(xlim=(1.0, 3.7), ylim=(-1.35, 1.35), xlabel="x [m]", title=f"yaw {env.yaw[k]:+.2f} rad")
+    axis.set_aspect("equal")
+axes[0, 0].set_ylabel("y [m]")
+figure.colorbar(shown, ax=axes[0].tolist(), label="scandot [m]: + lower, - higher")
+save(figure, "01_scandots.png")
+print(f"largest difference between our scandots and the environment's: {max(difference):.1e} m")
+
+# %% [markdown]
+# **Try.**  Replace `"gap"` by `"climb-up"` above.  Which colour does the tread take, and why is
+# a step of 0.35 m harder to see than a pit of 1 m?
+
+# %% [markdown]
+# ## 1.6 Edges
+#
+# Table 1 counts *edge violations*: feet that stand within 5 cm of an edge.  An edge is a border
+# between two neighbouring cells with
+#
+#     | h - h' | > 0.075 m
+#
+# The code base behind the paper looks for edges along x only; `edges="x"` does that, and
+# the default looks along y too.
+#
+# *A right figure:* the shores of the islands are red in both pictures, the long sides of the
+# beams only in the right one.  The red strip covers the low ground beside an edge too, but
+# only a foot at the height of the upper side counts.
+
+# %%
+figure, axes = new_figure(1, 2, (10.0, 3.6))
+for axis, along in zip(axes[0], ("x", "xy"), strict=True):
+    marked = np.isfinite(edge_map(heights["beam"], along))
+    axis.imshow(heights["beam"].T, origin="lower", extent=EXTENT, cmap="cividis", interpolation="nearest")
+    overlay = np.where(marked.T, 1.0, np.nan)
+    axis.imshow(overlay, origin="lower", extent=EXTENT, cmap="autumn", vmin=0.8, vmax=2, interpolation="nearest")
+    axis.set(xlim=(2.0, 5.5), ylim=(-1, 1), xlabel="x [m]", title=f"edges={along!r}: {marked.mean():.1%} of the lane")
+axes[0, 0].set_ylabel("y [m]")
+save(figure, "01_edges.png")
+print(f"an edge drops more than {EDGE_MIN_DROP} m; a foot violates it within {EDGE_DISTANCE} m")
+
+# %% [markdown]
+# **Predict, then run.**  At d = 0 a pit is 0.05 m deep (`pit_depth`).  How much of a `gap`
+# course of difficulty 0 is edge?  Check with `edge_map(height_map(make_course("gap", 0.0)))`.
+
+# %% [markdown]
+# ## 1.7 The oracle's regions
+#
+# Because we build the terrain, we know which skill belongs where.  Every obstacle claims
+# the stretch from a lead before it to a tail after it,
+#
+#     region of an obstacle = [ x0 - LEAD[skill],  x1 + TAIL[skill] ]            [m]
+#
+# never starting before the previous obstacle's tail ends; everything else is walked.  The
+# oracle policy of Table 1 looks up its skill in this map, and the supervised selector learns
+# to read it from the scandots.
+#
+# *A right figure:* colours begin before each obstacle and end a little after it; on `walk`
+# everything is grey; on `climb-gap` all skills but the beam appear.
+
+# %%
+colours = ListedColormap([SKILL_COLOURS[skill] for skill in SKILLS])
+figure, axes = new_figure(len(COURSE_KINDS), 1, (9.0, 10.5))
+for axis, (kind, h) in zip(axes[:, 0], heights.items(), strict=True):
+    regions = region_map(courses[kind])  # (900,) indices into SKILLS
+    profile = h[:, h.shape[1] // 2]
+    low, high = profile.min() - 0.3, profile.max() + 0.5
+    axis.imshow(
+        regions[None], extent=(0, LANE_LENGTH, low, high), cmap=colours, vmin=0, vmax=len(SKILLS) - 1,
+        aspect="auto", interpolation="nearest", alpha=0.6,
+    )  # fmt: skip
+    axis.fill_between(x, profile, low, step="mid", color="#333333")
+    axis.set(ylabel="height [m]", xlim=(0, LANE_LENGTH), ylim=(low, high))
+    axis.set_title(kind, loc="left", fontsize=10)
+axes[-1, 0].set_xlabel("x [m], cut along y = 0")
+handles = [Patch(color=SKILL_COLOURS[skill], alpha=0.6, label=skill) for skill in SKILLS]
+figure.legend(handles=handles, loc="outside upper center", ncols=len(SKILLS))
+save(figure, "01_oracle_regions.png")
+
+share = {s: np.mean([(region_map(c) == k).mean() for c in courses.values()]) for k, s in enumerate(SKILLS)}
+print("share of all seven lanes:", ", ".join(f"{s} {v:.0%}" for s, v in share.items()))
+
+# %% [markdown]
+# **Try.**  Draw `region_map` of a `climb-gap` course at d = 0 and at d = 1.  Where do two
+# obstacles stand so close that the second one's lead is cut short?
+#
+# Next: `02_robot.py` puts a Go1 on these courses.
