@@ -5,4 +5,11 @@ terrain, go1, rewards, curriculum, env, checkpoint, networks, ppo, policies, sel
 evaluate, stats, plots, runs, table1, cli.
 """
 
+import os
+
+# Read by the numerical libraries when they are loaded.  Networks of 128 units gain nothing from
+# more threads, and threads that spin while they wait take the simulation's cores.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 __version__ = "0.1.0"

@@ -12,9 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agility_ref.terrain import World, make_course
-
-EASIEST = {"beam": -1.0}  # training starts below d = 0 where that helps: a beam 1.08 m wide
+from agility_ref.terrain import EASIEST, World, make_course
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ class CurriculumConfig:
 
 def level_difficulties(kind: str, max_difficulty: float, num_levels: int) -> np.ndarray:
     """Difficulty of every level of a kind, shape (num_levels,)."""
-    return np.linspace(EASIEST.get(kind, 0.0), max_difficulty, num_levels)
+    return np.linspace(EASIEST[kind], max_difficulty, num_levels)
 
 
 def training_world(kinds: tuple[str, ...], config: CurriculumConfig, max_difficulty: float, seed: int) -> World:

@@ -5,11 +5,8 @@ Out: observation, reward, terminated, truncated, info.  See :class:`Go1Env`, who
 docstring is the manual, and paper sections 3.1 and 4.1.
 """
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # spinning threads fight the simulation's
 
 import mujoco
 import numpy as np

@@ -1,26 +1,111 @@
-"""Figures: learning curves and Table 1 as a picture.
+"""Figures of numbers: learning curves and Table 1 as a picture; the style of every figure.
 
-In:  ``progress.csv`` files and the cells of the table.  Out: PNG files.
+In:  ``progress.csv`` files and the cells of the table.  Out: PNG and SVG files that carry
+the command and the versions that made them.
 matplotlib is imported when a figure is drawn, never at import.
 """
 
 import csv
+import io
+import os
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
+from agility_ref.stats import bootstrap_interval, iqm
+
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"  # Okabe and Ito
-SKILL_COLOURS = {"walk": "#999999", "climb-up": BLUE, "climb-down": "#56B4E9", "leap": RED, "beam": GREEN}
+SKY, YELLOW, GREY = "#56B4E9", "#F0E442", "#8A8A8A"
+CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED, "#000000")
+SKILL_COLOURS = {  # Tol's "muted" scheme, so that no skill looks like a leg or a violation
+    "walk": "#BDBDBD", "climb-up": "#44AA99", "climb-down": "#882255",
+    "leap": "#DDCC77", "beam": "#117733", "climb": "#AA4499",
+}  # fmt: skip
+
+STYLE = {  # matplotlib rc settings: readable when a page shows the figure at half its size
+    "font.size": 12.0,
+    "font.family": "DejaVu Sans",
+    "axes.titlesize": 13.0,
+    "axes.labelsize": 12.0,
+    "xtick.labelsize": 11.0,
+    "ytick.labelsize": 11.0,
+    "legend.fontsize": 11.0,
+    "legend.frameon": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.alpha": 0.3,
+    "lines.linewidth": 1.8,
+    "figure.dpi": 130.0,
+    "savefig.dpi": 130.0,
+    "svg.hashsalt": "agility_ref",  # the same figure twice is the same file
+    "svg.fonttype": "none",
+}
 
 
-def new_figure(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0, 4.0)):
-    """Return (figure, axes) without touching any display."""
+def style():
+    """Return a context in which matplotlib follows STYLE."""
+    import matplotlib
+
+    return matplotlib.rc_context(STYLE)
+
+
+def empty_figure(size: tuple[float, float]):
+    """Return a figure of this size [inch] without axes and without touching any display."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=size)
     FigureCanvasAgg(figure)
+    return figure
+
+
+def new_figure(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0, 4.0)):
+    """Return (figure, axes), laid out so that labels do not overlap."""
+    figure = empty_figure(size)
+    figure.set_layout_engine("constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def save_figure(figure, out: Path, command: str) -> list[Path]:
+    """Write ``out`` as PNG and as SVG, with the command and the versions in the metadata."""
+    from PIL import Image, PngImagePlugin
+
+    made = {"Software": made_with(), "Description": command}
+    out = Path(out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    paths = [out.with_suffix(".png"), out.with_suffix(".svg")]
+    partials = [path.with_name(path.name + ".partial") for path in paths]
+    with style():
+        figure.savefig(buffer := io.BytesIO(), format="png")
+        figure.savefig(
+            partials[1], format="svg", metadata={"Creator": made["Software"], "Description": command, "Date": None}
+        )
+    info = PngImagePlugin.PngInfo()
+    for key, text in made.items():
+        info.add_itxt(key, text)
+    # 256 colours are enough for a diagram and take a third of the space.
+    image = Image.open(buffer).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    image.save(partials[0], format="PNG", pnginfo=info, optimize=True)
+    for partial, path in zip(partials, paths, strict=True):
+        os.replace(partial, path)
+    return paths
+
+
+def made_with() -> str:
+    """Return the versions that a figure records."""
+    from agility_ref import __version__
+
+    others = ", ".join(f"{name} {version(name)}" for name in ("mujoco", "numpy", "matplotlib"))
+    return f"agility_ref {__version__}, {others}"
+
+
+# ---------------------------------------------------------------------------- learning curves
+
+
+LABELS = {"reward": "return per episode", "waypoint_fraction": "waypoint fraction"}
 
 
 def read_progress(path: Path) -> dict[str, np.ndarray]:
@@ -30,42 +115,141 @@ def read_progress(path: Path) -> dict[str, np.ndarray]:
     return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]} if rows else {}
 
 
-def learning_curve(progress: Path, out: Path, title: str) -> None:
-    """Draw return, waypoint fraction and level against environment steps."""
-    curve = read_progress(progress)
-    if not curve:
+def smooth(steps: np.ndarray, values: np.ndarray, grid: np.ndarray, window: float) -> np.ndarray:
+    """Mean of ``values`` over a window [steps] centred on every grid point, NaN where there is none."""
+    inside = np.abs(grid[:, None] - steps) <= window / 2
+    counts = inside.sum(axis=1)
+    return np.where(counts > 0, (inside * values).sum(axis=1) / np.maximum(counts, 1), np.nan)
+
+
+def band(curves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """IQM over seeds and its 95 % bootstrap band at every grid point.
+
+    Parameters
+    ----------
+    curves : (S, G) one row a seed
+
+    Returns
+    -------
+    middle, low, high : (G,) each; NaN where a seed has no value.  With one seed the band
+        is the curve itself: there is no spread to show.
+    """
+    middle, low, high = (np.full(curves.shape[1], np.nan) for _ in range(3))
+    known = np.flatnonzero(~np.isnan(curves).any(axis=0))
+    for g in known:
+        middle[g] = iqm(curves[:, g])
+    sampled = known[:: max(len(known) // 30, 1)]  # the band is smooth: 30 points and lines between
+    ends = np.array([bootstrap_interval(curves[:, g : g + 1], resamples=200) for g in sampled]).T
+    low[known], high[known] = (np.interp(known, sampled, end) for end in ends)
+    return middle, low, high
+
+
+def _wall_axis(axis, curve: dict[str, np.ndarray]) -> None:
+    """Add wall time [min] above the axis; a warm start's own time lies left of zero."""
+    from matplotlib.ticker import MaxNLocator
+
+    steps, minutes = curve["steps"] / 1e6, curve["wall_seconds"] / 60
+    if len(steps) < 2 or minutes[-1] <= minutes[0]:
         return
-    figure, axes = new_figure(1, 2, (9.0, 3.4))
-    steps = curve["steps"] / 1e6
-    left, right = axes[0]
-    left.plot(steps, curve["reward"], color=BLUE)
-    left.set(xlabel="environment steps [million]", ylabel="return per episode", title=title)
-    right.plot(steps, curve["waypoint_fraction"], color=BLUE, label="waypoint fraction (with exploration noise)")
-    right.plot(steps, curve["level"], color=ORANGE, label="level, as a fraction of the top")
-    right.set(xlabel="environment steps [million]", ylim=(0, 1.02))
-    right.set_title(f"{curve['wall_seconds'][-1] / 60:.0f} min, {np.median(curve['steps_per_second']):.0f} steps/s")
-    right.legend(loc="upper left", fontsize=8)
-    for axis in axes[0]:
-        axis.grid(alpha=0.3)
-    figure.savefig(out, dpi=110)
+    pace = (minutes[-1] - minutes[0]) / (steps[-1] - steps[0])  # [min / million steps]
+    outer = (
+        np.array([-1e3, *steps, steps[-1] + 1e3]),
+        np.array([minutes[0] - (steps[0] + 1e3) * pace, *minutes, minutes[-1] + 1e3 * pace]),
+    )
+    twin = axis.secondary_xaxis(
+        "top", functions=(lambda x: np.interp(x, *outer), lambda t: np.interp(t, *reversed(outer)))
+    )
+    ticks = MaxNLocator(5).tick_values(0, minutes[-1])
+    twin.set_xticks(ticks[(ticks >= 0) & (ticks <= minutes[-1])])
+    twin.set_xlabel("wall time [min]")
+
+
+def learning_curves(
+    runs: dict[str, list[Path]],
+    evaluations: dict[str, list[dict[str, float]]] | None = None,
+    metrics: tuple[str, ...] = ("waypoint_fraction", "reward"),
+):
+    """Compare policies: a thin line a seed, a bold IQM, a 95 % band; return the figure.
+
+    Parameters
+    ----------
+    runs : policy -> the progress.csv of each of its seeds
+    evaluations : policy -> evaluations of its runs, each with ``steps`` and the metrics;
+        drawn as diamonds, for they are played without exploration and on other courses
+    metrics : columns of progress.csv, one panel each
+    """
+    with style():
+        figure, axes = new_figure(1, len(metrics), (5.2 * len(metrics), 4.9))
+        curves = {policy: [c for c in map(read_progress, paths) if c] for policy, paths in runs.items()}
+        curves = {policy: found for policy, found in curves.items() if found}
+        for axis, metric in zip(axes[0], metrics, strict=True):
+            for k, (policy, seeds) in enumerate(curves.items()):
+                points = (evaluations or {}).get(policy, [])
+                _draw_policy(axis, policy, seeds, points, metric, CYCLE[k % len(CYCLE)])
+            axis.set(xlabel="environment steps [million]", ylabel=LABELS.get(metric, metric.replace("_", " ")))
+            axis.set_xlim(left=0)
+        for axis in axes[0]:
+            if curves:
+                _wall_axis(axis, next(iter(curves.values()))[0])
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        return figure
+
+
+def _draw_policy(axis, policy: str, seeds: list[dict], points: list[dict], metric: str, colour: str) -> None:
+    start, end = max(c["steps"][0] for c in seeds), min(c["steps"][-1] for c in seeds)
+    grid = np.linspace(start, end, 120)
+    smoothed = np.stack([smooth(c["steps"], c[metric], grid, (end - start) / 30) for c in seeds])
+    for row in smoothed:
+        axis.plot(grid / 1e6, row, color=colour, linewidth=0.8, alpha=0.6)
+    middle, low, high = band(smoothed)
+    axis.fill_between(grid / 1e6, low, high, color=colour, alpha=0.2, linewidth=0)
+    label = f"{policy}, {len(seeds)} seed{'s' * (len(seeds) > 1)}"
+    axis.plot(grid / 1e6, middle, color=colour, linewidth=2.6, label=label)
+    for point in points:
+        axis.plot(point["steps"] / 1e6, point[metric], "D", color=colour, markeredgecolor="black", markersize=8)
+
+
+def learning_curve(progress: Path, out: Path, title: str) -> None:
+    """Draw return, waypoint fraction and level of one run against environment steps."""
+    curve = read_progress(progress)
+    if not curve or "reward" not in curve:
+        return
+    with style():
+        figure, axes = new_figure(1, 2, (10.0, 4.2))
+        steps = curve["steps"] / 1e6
+        left, right = axes[0]
+        left.plot(steps, curve["reward"], color=BLUE)
+        left.set(xlabel="environment steps [million]", ylabel="return per episode", title=title)
+        right.plot(steps, curve["waypoint_fraction"], color=BLUE, label="waypoint fraction, exploring")
+        right.plot(steps, curve["level"], color=ORANGE, label="level / top level")
+        right.set(xlabel="environment steps [million]", ylim=(0, 1.02))
+        for axis in axes[0]:
+            _wall_axis(axis, curve)
+        speed = f"{curve['wall_seconds'][-1] / 60:.0f} min, {np.median(curve['steps_per_second']):.0f} steps/s"
+        right.legend(loc="best", title=speed)
+    save_figure(figure, out, f"agility-ref train {title}")
+
+
+# ---------------------------------------------------------------------------- Table 1
 
 
 def table_figure(cells: dict[tuple[str, str], dict], out: Path, title: str) -> None:
     """Draw waypoint fraction and edge violation of every cell, ours beside the paper's."""
     environments = list(dict.fromkeys(environment for environment, _ in cells))
-    figure, axes = new_figure(2, len(environments), (3.6 * len(environments), 7.0))
-    for column, environment in enumerate(environments):
-        rows = [(label, cell) for (e, label), cell in cells.items() if e == environment]
-        y = np.arange(len(rows))[::-1]
-        for row, metric in enumerate(("waypoint_fraction", "edge_violation")):
-            axis = axes[row, column]
-            ours = np.array([cell["ours"][metric][0] if cell["ours"] else np.nan for _, cell in rows])
-            paper = np.array([cell["paper"][metric][0] for _, cell in rows])
-            axis.barh(y + 0.2, ours, 0.38, color=BLUE, label="ours")
-            axis.barh(y - 0.2, paper, 0.38, color=ORANGE, label="paper")
-            axis.set_yticks(y, [label for label, _ in rows])
-            axis.set(title=environment if row == 0 else "", xlabel=metric.replace("_", " "))
-            axis.grid(axis="x", alpha=0.3)
-    axes[0, 0].legend(fontsize=8)
-    figure.suptitle(title)
-    figure.savefig(out, dpi=110)
+    with style():
+        figure, axes = new_figure(2, len(environments), (3.6 * len(environments), 8.0))
+        for column, environment in enumerate(environments):
+            rows = [(label, cell) for (e, label), cell in cells.items() if e == environment]
+            y = np.arange(len(rows))[::-1]
+            for row, metric in enumerate(("waypoint_fraction", "edge_violation")):
+                axis = axes[row, column]
+                ours = np.array([cell["ours"][metric][0] if cell["ours"] else np.nan for _, cell in rows])
+                paper = np.array([cell["paper"][metric][0] for _, cell in rows])
+                axis.barh(y + 0.2, ours, 0.38, color=BLUE, label="ours")
+                axis.barh(y - 0.2, paper, 0.38, color=ORANGE, label="paper")
+                axis.set_yticks(y, [label for label, _ in rows])
+                axis.set(title=environment if row == 0 else "", xlabel=metric.replace("_", " "))
+                axis.grid(visible=False, axis="y")
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+        figure.suptitle(title, x=0.01, ha="left")
+    save_figure(figure, out, f"agility-ref table1 ({title})")

@@ -37,6 +37,10 @@ GRID_SHAPE = (round(LANE_LENGTH / CELL), round(LANE_WIDTH / CELL))  # (nx, ny)
 EDGE_MIN_DROP = 0.075  # [m] a box top that drops more than this has an edge there
 EDGE_DISTANCE = 0.05  # [m] a foot in contact within this distance of an edge violates it
 
+# Lowest difficulty of a kind.  Training starts there, evaluation at 0: a beginner trips over a step
+# of 0.10 m and falls off a beam of 0.60 m, so theirs start at 0.03 m and 1.08 m.
+EASIEST = {kind: 0.0 for kind in COURSE_KINDS} | {"climb-up": -0.2, "climb-down": -0.2, "climb": -0.2, "beam": -1.0}
+
 LEAD = {"walk": 0.0, "climb-up": 0.6, "climb-down": 0.5, "leap": 0.7, "beam": 0.4}  # [m]
 TAIL = {"walk": 0.0, "climb-up": 0.3, "climb-down": 0.35, "leap": 0.35, "beam": 0.3}  # [m]
 
@@ -237,17 +241,17 @@ def make_course(kind: str, difficulty: float, seed: int | np.random.Generator = 
     Parameters
     ----------
     kind : one of COURSE_KINDS
-    difficulty : d; the paper's range is 0 to 1, training may start lower
+    difficulty : d; the paper's range is 0 to 1, training may start at EASIEST
     seed : integer seed or Generator; the same seed gives the same course
 
     Raises
     ------
-    ValueError : unknown kind, or a difficulty outside [-1, 1]
+    ValueError : unknown kind, or a difficulty outside [EASIEST[kind], 1]
     """
     if kind not in GENERATORS:
         raise ValueError(f"unknown course kind {kind!r}; choose from {', '.join(COURSE_KINDS)}")
-    if not -1.0 <= difficulty <= 1.0:
-        raise ValueError(f"difficulty {difficulty} is outside [-1, 1]")
+    if not EASIEST[kind] <= difficulty <= 1.0:
+        raise ValueError(f"difficulty {difficulty} of {kind} is outside [{EASIEST[kind]:g}, 1]")
     return GENERATORS[kind](float(difficulty), np.random.default_rng(seed))
 
 
