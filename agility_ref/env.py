@@ -396,7 +396,7 @@ class Go1Env:
             torque=self._torque,
             action=action,
             last_action=self._last_action,
-            foot_force=feet[:, :, 1:],
+            foot_force=-feet[:, :, 1:],  # the sensor gives the foot's force on the ground
             foot_on_edge=self.foot_on_edge,
             body_contact=self._sensors[:, 16:] > 0,
         )

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
+from agility_ref.errors import UserError
 from agility_ref.networks import ActorCritic, Gaussian, Normalizer
 
 
@@ -167,9 +168,17 @@ class Learner:
         return state
 
     def load_arrays(self, arrays: dict[str, np.ndarray]) -> None:
-        """Copy :meth:`arrays`, and :meth:`training_arrays` where present, into this learner."""
+        """Copy :meth:`arrays`, and :meth:`training_arrays` where present, into this learner.
+
+        Raises
+        ------
+        UserError : the arrays are those of another network
+        """
         with torch.no_grad():
             for name, parameter in self.net.named_parameters():
+                shape = arrays[name].shape if name in arrays else None
+                if shape != tuple(parameter.shape):
+                    raise UserError(f"checkpoint has {name} of shape {shape}, this network {tuple(parameter.shape)}")
                 parameter.copy_(torch.from_numpy(arrays[name]))
         n = self.normalizer
         n.mean[:], n.var[:] = arrays["normalizer.mean"], arrays["normalizer.var"]

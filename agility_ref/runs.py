@@ -14,6 +14,7 @@ import json
 import os
 import shutil
 import signal
+import sys
 import time
 from collections import deque
 from dataclasses import asdict, dataclass, replace
@@ -97,8 +98,9 @@ def weights_path(policy: str, config: TrainConfig) -> Path:
 
     Raises
     ------
-    UserError : neither exists; names the command that trains it
+    UserError : unknown policy or preset, or neither exists; names the command that trains it
     """
+    find_preset(config.preset)
     own = run_folder(config.root, policy, config.seed)
     if (own / "DONE").exists():
         return own / "policy.npz"
@@ -114,7 +116,7 @@ def weights_path(policy: str, config: TrainConfig) -> Path:
 def load_policy(policy: str, config: TrainConfig) -> Single | Hierarchy:
     """Load a policy of Table 1, its skills included, ready to act."""
     spec = find_policy(policy)
-    skills = {name: Policy.load(weights_path(name, config)) for name in spec.skills}
+    skills = load_skills(spec, config)
     if spec.method == "oracle":
         return oracle_hierarchy(policy, skills)
     own = Policy.load(weights_path(policy, config))
@@ -123,6 +125,14 @@ def load_policy(policy: str, config: TrainConfig) -> Single | Hierarchy:
         return Single(policy, own)
     _check_shape(own, own.obs_dim if own.obs_dim in (OBS_DIM, NUM_SCANDOTS) else OBS_DIM, len(skills))
     return selector_hierarchy(policy, skills, own)
+
+
+def load_skills(spec: PolicySpec, config: TrainConfig) -> dict[str, Policy]:
+    """Load the frozen specialists of a hierarchy, in the order of its outputs."""
+    skills = {name: Policy.load(weights_path(name, config)) for name in spec.skills}
+    for policy in skills.values():
+        _check_shape(policy, OBS_DIM, ACTION_DIM)
+    return skills
 
 
 def _check_shape(policy: Policy, obs_dim: int, act_dim: int) -> None:
@@ -197,9 +207,10 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     act_dim = len(spec.skills) if selector else ACTION_DIM
     learner = Learner.create(OBS_DIM, act_dim, ppo, config.seed, Categorical if selector else Gaussian, fixed=SCANDOTS)
     if selector:
-        skills = {name: Policy.load(weights_path(name, config)) for name in spec.skills}
-        env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward)
+        env = SelectorEnv(env, oracle_hierarchy(spec.name, load_skills(spec, config)), spec.reward)
     rows = _resume_or_warm_start(spec, config, folder, learner, curriculum)
+    if learner.steps >= total:
+        raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
     log = _ProgressLog(spec.name, folder, rows, total, quiet)
     stop = _StopRequest()
     last_save, start = time.monotonic(), time.monotonic() - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
@@ -239,7 +250,10 @@ def _resume_or_warm_start(
         arrays, meta = checkpoint.load(saved)
         learner.load_arrays(arrays)
         learner.steps = meta["steps"]
-        curriculum.load_state({"level": arrays["curriculum.level"]})
+        level = arrays["curriculum.level"]
+        if len(level) != len(curriculum.level):
+            raise UserError(f"{folder} was trained with {len(level)} robots, not {len(curriculum.level)}")
+        curriculum.load_state({"level": level})
         with open(folder / "progress.csv", newline="") as file:
             return [row for row in csv.DictReader(file) if int(row["steps"]) <= learner.steps]
     if spec.warm_start and config.warm_start:
@@ -255,7 +269,7 @@ def _train_supervised(spec: PolicySpec, config: TrainConfig, folder: Path, quiet
     start = time.monotonic()
     config = replace(config, curriculum=replace(config.curriculum, enabled=False))
     env, _ = _make_env(spec, config)
-    skills = {name: Policy.load(weights_path(name, config)) for name in spec.skills}
+    skills = load_skills(spec, config)
     oracle = oracle_hierarchy("oracle", skills)
     rounds = config.supervised.dagger_rounds + 1
     total = config.steps or spec.steps(config.preset)
@@ -295,7 +309,15 @@ class _ProgressLog:
 
         self.path, self.rows, self.episodes = folder / "progress.csv", rows, deque(maxlen=200)
         done = int(rows[-1]["steps"]) if rows else 0
-        self.bar = tqdm(total=total, initial=done, desc=name, unit="step", unit_scale=True, disable=quiet)
+        self.bar = tqdm(
+            total=total,
+            initial=done,
+            desc=name,
+            unit="step",
+            unit_scale=True,
+            disable=quiet,
+            mininterval=0.5 if sys.stderr.isatty() else 30.0,
+        )
 
     def add(self, record: dict, wall_seconds: float, level: float) -> None:
         self.episodes.extend(record["episodes"])
@@ -310,10 +332,11 @@ class _ProgressLog:
             "waypoint_fraction": mean("waypoints") / 8, "edge_violation": mean("edge") / length, "level": level,
         }  # fmt: skip
         self.rows.append({key: f"{figures[key]:.6g}" if key != "steps" else figures[key] for key in PROGRESS})
-        self.bar.update(record["steps"] - self.bar.n)
         self.bar.set_postfix_str(
-            f"return {figures['reward']:.1f}, waypoints {figures['waypoint_fraction']:.2f}, level {level:.2f}"
+            f"return {figures['reward']:.1f}, waypoints {figures['waypoint_fraction']:.2f}, level {level:.2f}",
+            refresh=False,
         )
+        self.bar.update(record["steps"] - self.bar.n)
 
     def write(self) -> None:
         if self.rows:
