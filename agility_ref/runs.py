@@ -209,7 +209,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     if selector:
         env = SelectorEnv(env, oracle_hierarchy(spec.name, load_skills(spec, config)), spec.reward)
     rows = _resume_or_warm_start(spec, config, folder, learner, curriculum)
-    if learner.steps >= total:
+    if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
     log = _ProgressLog(spec.name, folder, rows, total, quiet)
     stop = _StopRequest()
