@@ -171,6 +171,17 @@ def _save(figure, out: Path, argv: list[str]) -> None:
     print(", ".join(map(str, save_figure(figure, out, shlex.join(["agility-ref", *argv])))))
 
 
+def plot_runs(argv: list[str]) -> None:
+    """Draw learning_curve.png in each run folder, as training does."""
+    from agility_ref.plots import learning_curve
+
+    for run in map(Path, argv):
+        if not (run / "progress.csv").is_file():
+            raise UserError(f"{run} is no picture ({', '.join(PLOTS)}) and holds no progress.csv")
+        if learning_curve(run / "progress.csv", run / "learning_curve.png", run.parent.name):
+            print(run / "learning_curve.png")
+
+
 def plot_curves(argv: list[str]) -> None:
     """Draw learning curves."""
     from agility_ref.plots import learning_curves, read_progress
@@ -332,11 +343,12 @@ PLOTS = {
 def plot(argv: list[str]) -> None:
     """Draw one kind of picture."""
     if not argv or argv[0] in ("-h", "--help"):
-        print(f"usage: agility-ref plot KIND [--help]\n\n  KIND is one of {', '.join(PLOTS)}")
+        print(f"usage: agility-ref plot KIND [--help]\n       agility-ref plot RUN...\n\nKIND is {', '.join(PLOTS)}")
         return
-    if argv[0] not in PLOTS:
-        raise unknown_name("picture", argv[0], PLOTS)
-    PLOTS[argv[0]](["plot", *argv])
+    if argv[0] in PLOTS:
+        PLOTS[argv[0]](["plot", *argv])
+    else:
+        plot_runs(argv)
 
 
 def video(argv: list[str]) -> None:

@@ -2,7 +2,7 @@
 
 Paper section 4.2: "Curriculum is crucial for the robot to learn anything."  The rule is
 the game-like one of Extreme Parkour with the waypoint fraction as the score: up a level
-after a good episode, down after a bad one.
+after a good episode, two after a completed course, down after a bad one.
 
 In:  the waypoint fraction of the episodes that ended.
 Out: the index of each robot's next course in the :class:`~agility_ref.terrain.World`.
@@ -78,7 +78,10 @@ class Curriculum:
         c, rng, top = self.config, self.rng, self.config.num_levels - 1
         if waypoint_fraction is not None:
             scored = self.played[ids] == self.level[ids]
-            step = (waypoint_fraction >= c.promote).astype(int) - (waypoint_fraction < c.demote)
+            # A completed course counts twice: an episode takes 100,000 steps of 256 robots, and
+            # small budgets have few of them.
+            step = (waypoint_fraction >= c.promote).astype(int) + (waypoint_fraction >= 1.0)
+            step -= waypoint_fraction < c.demote
             self.level[ids] = np.clip(self.level[ids] + step * scored, 0, top)
         level = self.level[ids]
         easier = rng.integers(0, level + 1)

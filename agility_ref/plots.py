@@ -209,11 +209,11 @@ def _draw_policy(axis, policy: str, seeds: list[dict], points: list[dict], metri
         axis.plot(point["steps"] / 1e6, point[metric], "D", color=colour, markeredgecolor="black", markersize=8)
 
 
-def learning_curve(progress: Path, out: Path, title: str) -> None:
-    """Draw return, waypoint fraction and level of one run against environment steps."""
+def learning_curve(progress: Path, out: Path, title: str) -> bool:
+    """Draw return, waypoint fraction and level of one run; say whether there was anything to draw."""
     curve = read_progress(progress)
-    if not curve or "reward" not in curve:
-        return
+    if "reward" not in curve:
+        return False
     with style():
         figure, axes = new_figure(1, 2, (10.0, 4.2))
         steps = curve["steps"] / 1e6
@@ -227,7 +227,8 @@ def learning_curve(progress: Path, out: Path, title: str) -> None:
             _wall_axis(axis, curve)
         speed = f"{curve['wall_seconds'][-1] / 60:.0f} min, {np.median(curve['steps_per_second']):.0f} steps/s"
         right.legend(loc="best", title=speed)
-    save_figure(figure, out, f"agility-ref train {title}")
+    save_figure(figure, out, f"agility-ref plot {Path(progress).parent}")
+    return True
 
 
 # ---------------------------------------------------------------------------- Table 1
