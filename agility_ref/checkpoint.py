@@ -85,7 +85,7 @@ def sha256(path: Path) -> str:
 
 def elu(x: np.ndarray) -> np.ndarray:
     """X where positive, exp(x) - 1 elsewhere."""
-    return np.where(x > 0, x, np.expm1(np.minimum(x, 0)))
+    return np.maximum(x, 0) + np.expm1(np.minimum(x, 0))
 
 
 def mlp(x: np.ndarray, layers: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:

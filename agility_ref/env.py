@@ -43,7 +43,8 @@ def observation_slices() -> dict[str, slice]:
 
 
 SCANDOTS = observation_slices()["scandots"]
-NOISE = np.concatenate([np.full(n, a, np.float32) for n, a in OBSERVATION.values()])
+# One draw an entry, but one for all scandots together: an error of the height estimate.
+NOISE = np.array([a for name, (n, a) in OBSERVATION.items() for _ in range(n if name != "scandots" else 1)], np.float32)
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,11 @@ class EnvConfig:
         return replace(self, noise=0.0, push_interval=0.0, payload_high=0.0, friction_low=1.0, friction_high=1.0)
 
 
+DIVERGED = [
+    int(w)
+    for w in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+]
+
 NextCourse = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
 
 
@@ -107,7 +113,7 @@ def wrap(angle: np.ndarray) -> np.ndarray:
 
 def rotation(quat: np.ndarray) -> np.ndarray:
     """Rotation matrices (N, 3, 3), body to world, of unit quaternions (N, 4), wxyz."""
-    w, x, y, z = quat.T
+    w, x, y, z = np.ascontiguousarray(quat.T)
     return np.stack(
         [
             1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -204,7 +210,8 @@ class Go1Env:
             for course in world.courses
         ]
         self.batch = batch.Batch(self.models[0], num_envs, num_threads)
-        self._home = self.models[0].key_qpos[0].copy()
+        self.batch.reset(keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._home, self._start = self.models[0].key_qpos[0].copy(), self.batch.state[0].copy()
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._ctrl = self.batch.bind("ctrl")
         self._sensors = self.batch.bind("sensordata")  # (N, 25), see go1.make_xml
@@ -266,6 +273,10 @@ class Go1Env:
         reward, terms = compute_reward(state, c.rewards)
         if c.clip_reward_at_zero:
             reward = np.maximum(reward, 0.0)
+        if failed.any():  # what a diverged simulation was worth is nobody's reward
+            reward[failed] = 0.0
+            for term in terms.values():
+                term[failed] = 0.0
         self._last_action = action
         self._step_count += 1
         self._advance_waypoints()
@@ -318,8 +329,11 @@ class Go1Env:
             self.batch.step(nstep=self.config.physics.substeps * self.config.action_repeat)
         except batch.SimulationError as error:
             failed[error.ids] = True
-        failed |= ~np.isfinite(self._qpos).all(axis=1)
-        self.simulation_errors += int(failed.sum())
+        # MuJoCo resets a simulation that diverges to its default pose and counts a warning.
+        failed |= (self.batch.warning[:, DIVERGED, 1] > 0).any(axis=1)
+        if failed.any():
+            self.batch.warning[failed] = 0
+            self.simulation_errors += int(failed.sum())
         return failed
 
     def _push(self) -> None:
@@ -336,15 +350,15 @@ class Go1Env:
     def _reset(self, ids: np.ndarray, waypoint_fraction: np.ndarray | None) -> None:
         n, rng, c = len(ids), self.rng, self.config
         self.course[ids] = self.next_course(ids, waypoint_fraction)
-        self.batch.set_models([self.models[k] for k in self.course])
-        self.batch.reset(ids, keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self.batch.set_models([self.models[k] for k in self.course.tolist()])
+        self.batch.state[ids] = self._start  # the home pose, at rest, no warm start
+        shift = rng.uniform(-0.1, 0.1, (n, 3 + ACTION_DIM))  # x, y [m], yaw, joints [rad]
         qpos = np.tile(self._home, (n, 1))
-        qpos[:, 0] = SPAWN_X + rng.uniform(-0.1, 0.1, n)
-        qpos[:, 1] = rng.uniform(-0.1, 0.1, n)
+        qpos[:, 0] = SPAWN_X + shift[:, 0]
+        qpos[:, 1] = shift[:, 1]
         qpos[:, 2] = STAND_HEIGHT + 0.02
-        yaw = rng.uniform(-0.1, 0.1, n)
-        qpos[:, 3], qpos[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
-        qpos[:, 7:] += rng.uniform(-0.1, 0.1, (n, ACTION_DIM))
+        qpos[:, 3], qpos[:, 6] = np.cos(shift[:, 2] / 2), np.sin(shift[:, 2] / 2)
+        qpos[:, 7:] += shift[:, 3:]
         self._qpos[ids] = qpos
         self.command[ids] = rng.uniform(c.command_low, c.command_high, n)
         self._push_offset[ids] = rng.integers(0, max(self._push_steps, 1), n)
@@ -448,10 +462,10 @@ class Go1Env:
         return np.clip((z - np.float32(0.3))[:, None] - ground, -1.0, 1.0)
 
     def _draw_noise(self) -> np.ndarray | None:
-        """(N, 184) uniform observation noise, None where it is off."""
+        """(N, 53) uniform observation noise, None where it is off."""
         if not self.config.noise:
             return None
-        noise = self._noise_rng.random((self.num_envs, OBS_DIM), np.float32)
+        noise = self._noise_rng.random((self.num_envs, len(NOISE)), np.float32)
         noise -= 0.5
         noise *= 2.0 * self.config.noise * NOISE
         return noise
@@ -475,5 +489,6 @@ class Go1Env:
             dtype=np.float32,
         )
         if noise is not None:
-            observation += noise[ids]
+            observation[:, : SCANDOTS.start] += noise[ids, :-1]
+            observation[:, SCANDOTS] += noise[ids, -1:]
         return observation

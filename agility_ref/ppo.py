@@ -258,7 +258,8 @@ def update(learner: Learner, rollout: Rollout) -> dict[str, float]:
     sums = {"policy_loss": 0.0, "value_loss": 0.0, "entropy": 0.0, "kl": 0.0, "clip_fraction": 0.0}
     for _ in range(c.update_epochs):
         for mb in torch.randperm(len(b_obs), generator=learner.generator).chunk(c.num_minibatches):
-            new = dist.parameters(net, b_obs[mb])
+            obs = b_obs[mb]
+            new = dist.parameters(net, obs)
             log_prob = dist.log_prob(new, b_actions[mb])
             with torch.no_grad():
                 old_mb = tuple(p[mb] if p.shape[0] == len(b_obs) else p for p in old)
@@ -269,7 +270,7 @@ def update(learner: Learner, rollout: Rollout) -> dict[str, float]:
                 group["lr"] = learner.learning_rate
 
             pg_loss = policy_loss(log_prob, old_log_prob[mb], b_advantages[mb], c.clip_coef)
-            v_loss = 0.5 * ((net.value(b_obs[mb]) - returns[mb]) ** 2).mean()
+            v_loss = 0.5 * ((net.value(obs) - returns[mb]) ** 2).mean()
             entropy = dist.entropy(new)
             loss = pg_loss + c.vf_coef * v_loss - c.ent_coef * entropy
             learner.optimizer.zero_grad()

@@ -11,7 +11,7 @@ What is simplified: nothing depends on simulator internals beyond contact forces
 torque *changes* (weight -1e-7 there, four orders below the next term) are left out.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -182,5 +182,5 @@ class RewardConfig:
 
 def compute_reward(state: StepState, weights: RewardConfig) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the reward (N,) and its weighted terms, which sum to it exactly (equation 1)."""
-    terms = {name: weight * state.dt * TERMS[name](state) for name, weight in asdict(weights).items()}
-    return np.sum(list(terms.values()), axis=0), terms
+    terms = {name: weight * state.dt * TERMS[name](state) for name, weight in vars(weights).items()}
+    return sum(terms.values()), terms

@@ -106,8 +106,8 @@ def beam_width(d: float) -> float:
 
 
 def pit_depth(d: float) -> float:
-    """Depth of a pit [m]: 0.05 at d = 0, 1 from d = 0.475 on.  Ours: see the module."""
-    return float(np.clip(0.05 + 2.0 * d, 0.05, 1.0))
+    """Depth of a pit [m]: 0.05 at d = 0, 1 at d = 1.  Ours: see the module."""
+    return 0.05 + 0.95 * d
 
 
 def roughness(d: float) -> float:
@@ -121,13 +121,13 @@ def _lateral(rng: np.random.Generator, amplitude: float) -> float:
 
 
 def _walk(d: float, rng: np.random.Generator) -> Course:
-    """Rough ground: tiles of random height, zig-zag waypoints (the original's 'flat')."""
-    tile_x, tile_y = 0.5, 1.0
+    """Rough ground: rows of two tiles of random height, zig-zag waypoints (the original's 'flat')."""
+    row = 0.5  # [m] along x; each row is split where the robot walks
     boxes = [_slab(0.0, START_LENGTH, 0.0)]
-    for x in np.arange(START_LENGTH, LANE_LENGTH - 1e-9, tile_x):
-        for y in np.arange(-LANE_WIDTH / 2, LANE_WIDTH / 2 - 1e-9, tile_y):
-            top = float(rng.uniform(-0.5, 0.5) * roughness(d))
-            boxes.append(Box(float(x), float(x) + tile_x, float(y), float(y) + tile_y, top))
+    for x in np.arange(START_LENGTH, LANE_LENGTH - 1e-9, row).tolist():
+        seam = _lateral(rng, 0.4)
+        left, right = (float(z) for z in rng.uniform(-0.5, 0.5, 2) * roughness(d))
+        boxes += [Box(x, x + row, -LANE_WIDTH / 2, seam, right), Box(x, x + row, seam, LANE_WIDTH / 2, left)]
     spacing = rng.uniform(1.3, 1.9, NUM_WAYPOINTS - 1)
     x = 2.0 + np.concatenate([[0.0], np.cumsum(spacing)])
     y = [0.0] + [_lateral(rng, 0.4) for _ in range(NUM_OBSTACLES)] + [0.0]

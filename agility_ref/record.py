@@ -1,0 +1,179 @@
+"""Recordings: play episodes and keep what there is to see.
+
+Everything that draws (:mod:`agility_ref.pictures`, :mod:`agility_ref.video`,
+:mod:`agility_ref.viewer`) draws from these arrays, so a picture shows what was simulated
+and nothing else.
+
+In:  a policy, an environment and which of its evaluation courses to play.
+Out: one :class:`Episode` a robot, trimmed to its length.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agility_ref.env import EnvConfig, Go1Env
+from agility_ref.errors import UserError
+from agility_ref.evaluate import EvaluationConfig, evaluation_world
+from agility_ref.selector import Hierarchy, Single
+from agility_ref.terrain import NUM_WAYPOINTS, Course, World
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One robot's episode of T control steps.
+
+    Row t of every state array is the state **before** control step t; row t of ``target``
+    and of ``reward_terms`` is what step t was asked to do and what it earned.
+    """
+
+    policy: str
+    environment: str
+    course: Course
+    dt: float
+    """Control time step [s]."""
+    command: float
+    """Commanded speed [m/s]."""
+    fell: bool
+    """The episode ended by a fall."""
+    reached: int
+    """Waypoints reached by the end, 0 to 8."""
+    qpos: np.ndarray
+    """(T, 19) trunk position [m], quaternion wxyz, 12 joint angles [rad]."""
+    foot_pos: np.ndarray
+    """(T, 4, 3) centres of the feet FR, FL, RR, RL [m]."""
+    foot_contact: np.ndarray
+    """(T, 4) bool, the foot touches the terrain."""
+    foot_on_edge: np.ndarray
+    """(T, 4) bool, the foot violates an edge."""
+    torque: np.ndarray
+    """(T, 12) [N m]"""
+    target: np.ndarray
+    """(T, 12) joint angles asked for [rad]."""
+    waypoint_index: np.ndarray
+    """(T,) waypoints reached so far."""
+    heading_error: np.ndarray
+    """(T,) angle from the heading to the current waypoint [rad]."""
+    reward_terms: dict[str, np.ndarray]
+    """name -> (T,) weighted term; they sum to the reward of the step."""
+    skills: tuple[str, ...] = ()
+    """Names of the skills that a hierarchy chooses from; empty for a single policy."""
+    skill: np.ndarray | None = None
+    """(T,) index of the chosen skill; None for a single policy."""
+    wanted: np.ndarray | None = None
+    """(T,) index of the skill that the oracle names at that place; likewise."""
+
+    def __len__(self) -> int:
+        return len(self.qpos)
+
+    @property
+    def time(self) -> np.ndarray:
+        """(T,) [s]"""
+        return np.arange(len(self)) * self.dt
+
+    @property
+    def reward(self) -> np.ndarray:
+        """(T,) reward of every step, the sum of its terms."""
+        return np.sum(list(self.reward_terms.values()), axis=0)
+
+    def skill_name(self, t: int) -> str:
+        """Name of the skill that acts at step t; the policy's own for a single policy."""
+        return self.policy if self.skill is None else self.skills[self.skill[t]]
+
+    def summary(self) -> str:
+        """One line for a title."""
+        ending = "fell" if self.fell else "finished" if self.reached == NUM_WAYPOINTS else "out of time"
+        return (
+            f"{self.policy} on {self.environment}, d = {self.course.difficulty:.2f}: "
+            f"{self.reached} of {NUM_WAYPOINTS} waypoints, {ending} after {len(self) * self.dt:.1f} s"
+        )
+
+
+def record(
+    policy: Single | Hierarchy,
+    environment: str,
+    config: EvaluationConfig = EvaluationConfig(),
+    courses: tuple[int, ...] = (0,),
+    robots: int = 1,
+    env_config: EnvConfig = EnvConfig(),
+) -> list[Episode]:
+    """Play evaluation courses to the end with the deterministic policy.
+
+    Parameters
+    ----------
+    policy : what acts
+    environment : a course kind
+    config : seed, preset, difficulty and noise as in an evaluation; its number of episodes
+        is not used
+    courses : which courses of that evaluation, counted from 0
+    robots : robots a course, from different starts
+    env_config : the task
+
+    Returns
+    -------
+    len(courses) * robots episodes, those of one course side by side
+
+    Raises
+    ------
+    UserError : as in an evaluation, or a negative course number
+    """
+    if min(courses) < 0:
+        raise UserError(f"courses are counted from 0, got {min(courses)}")
+    drawn = evaluation_world(environment, replace(config, episodes=max(courses) + 1)).courses
+    world = World([drawn[k] for k in courses])
+    if config.clean:
+        env_config = env_config.clean()
+    n = len(world) * robots
+    env = Go1Env(world, n, env_config, lambda ids, fraction: ids // robots, seed=config.seed)
+    return play(policy, env, environment, config.seed)
+
+
+def play(policy: Single | Hierarchy, env: Go1Env, environment: str, seed: int) -> list[Episode]:
+    """Play one episode of every robot of ``env``; robot i stays on course i."""
+    observation, _ = env.reset(seed)
+    policy.reset()
+    views = {name: env.batch.bind(field) for name, field in VIEWS.items()}
+    command, course = env.command.copy(), env.course.copy()
+    hierarchy = isinstance(policy, Hierarchy)
+    n = env.num_envs
+    length, fell, reached = np.zeros(n, int), np.zeros(n, bool), np.zeros(n, int)
+    rows: list[dict[str, np.ndarray]] = []
+    terms: list[dict[str, np.ndarray]] = []
+    while (length == 0).any():
+        row = {name: view.copy() for name, view in views.items()}
+        for name in ("foot_contact", "foot_on_edge", "waypoint_index"):
+            row[name] = getattr(env, name).copy()
+        row["heading_error"] = env.heading_error[:, 0].copy()
+        action, skill = policy.act(observation, env)
+        if hierarchy:
+            row["skill"], row["wanted"] = skill.copy(), policy.labels[env.oracle_skill()]
+        c = env.config
+        row["target"] = env.models[0].key_ctrl[0] + c.action_scale * np.clip(
+            np.float64(action), -c.action_limit, c.action_limit
+        )
+        observation, _, terminated, truncated, info = env.step(action)
+        rows.append(row)
+        terms.append(info["reward_terms"])
+        ended = (terminated | truncated) & (length == 0)
+        length[ended], fell[ended] = len(rows), terminated[ended]
+        reached[ended] = info["episode"]["waypoints"][ended]
+    states = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
+    rewards = {name: np.stack([term[name] for term in terms]) for name in terms[0]}
+    return [
+        Episode(
+            policy=policy.name,
+            environment=environment,
+            course=env.world.courses[course[i]],
+            dt=c.dt * c.action_repeat,
+            command=float(command[i]),
+            fell=bool(fell[i]),
+            reached=int(reached[i]),
+            skills=tuple(s.name for s in policy.skills) if hierarchy else (),
+            reward_terms={name: values[: length[i], i] for name, values in rewards.items()},
+            **{name: values[: length[i], i] for name, values in states.items()},
+        )
+        for i in range(n)
+    ]
+
+
+VIEWS = {"qpos": "qpos", "foot_pos": "site_xpos", "torque": "actuator_force"}  # ours: MuJoCo's

@@ -1,0 +1,155 @@
+"""Video of an episode: WebP or GIF through Pillow, rendered without a display.
+
+Call :func:`agility_ref.graphics.choose_gl` before anything imports mujoco.
+
+In:  an :class:`~agility_ref.record.Episode`.  Out: a file.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from agility_ref.errors import UserError
+from agility_ref.graphics import ADVICE
+from agility_ref.plots import GREY, SKILL_COLOURS, made_with
+from agility_ref.record import Episode
+from agility_ref.scene import make_scene, mark_waypoints
+from agility_ref.terrain import NUM_WAYPOINTS
+
+
+@dataclass(frozen=True)
+class VideoConfig:
+    """How an episode is filmed."""
+
+    width: int = 640
+    """[pixel]"""
+    height: int = 480
+    """[pixel]"""
+    fps: int = 25
+    """Frames per second of the film; usual 10 to 50."""
+    speed: float = 1.0
+    """1 for real time, 0.25 for slow motion."""
+    start: float = 0.0
+    """Where the film begins in the episode [s]."""
+    seconds: float = 20.0
+    """How much of the episode is filmed [s]."""
+    azimuth: float = 60.0
+    """Direction of view [degree]: 0 follows from behind, 90 looks from the right side."""
+    elevation: float = -16.0
+    """Angle above the horizon from which the camera looks down, negative [degree]."""
+    distance: float = 1.9
+    """From the robot to the camera [m]; usual 1.2 to 4."""
+    quality: int = 70
+    """Of WebP, 1 to 100."""
+
+
+def open_renderer(model: mujoco.MjModel, config: VideoConfig) -> mujoco.Renderer:
+    """Return a renderer.
+
+    Raises
+    ------
+    UserError : OpenGL does not work here
+    """
+    model.vis.global_.offwidth, model.vis.global_.offheight = config.width, config.height
+    try:
+        return mujoco.Renderer(model, config.height, config.width)
+    except Exception as error:  # every backend raises its own kind
+        raise UserError(f"{ADVICE} ({str(error).splitlines()[0] if str(error) else type(error).__name__})") from None
+
+
+def frames(episode: Episode, config: VideoConfig = VideoConfig()) -> Iterator[np.ndarray]:
+    """Render the episode; yield images (height, width, 3) uint8."""
+    model = make_scene(episode.course)
+    data = mujoco.MjData(model)
+    camera = mujoco.MjvCamera()
+    camera.azimuth, camera.elevation, camera.distance = config.azimuth, config.elevation, config.distance
+    times = np.arange(config.start, min(config.start + config.seconds, episode.time[-1]), config.speed / config.fps)
+    steps = np.minimum(np.round(times / episode.dt).astype(int), len(episode) - 1)
+    gaze = None
+    with open_renderer(model, config) as renderer:
+        for t in steps:
+            data.qpos[:] = episode.qpos[t]
+            mark_waypoints(model, episode.waypoint_index[t])
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_camlight(model, data)
+            target = episode.qpos[t, :3] + [0.25, 0.0, -0.06]
+            gaze = target if gaze is None else gaze + 0.15 * (target - gaze)  # the camera sways less than the robot
+            camera.lookat[:] = gaze
+            renderer.update_scene(data, camera)
+            yield overlay(renderer.render(), episode, int(t))
+
+
+def overlay(image: np.ndarray, episode: Episode, t: int) -> np.ndarray:
+    """Write time, waypoints and skill on an image (height, width, 3)."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    picture = Image.fromarray(image)
+    draw = ImageDraw.Draw(picture)
+    size = max(image.shape[0] // 26, 11)
+    font = ImageFont.load_default(size)
+    margin = size // 2
+    course = f"{episode.policy} on {episode.environment}, d = {episode.course.difficulty:.2f}"
+    state = f"{t * episode.dt:4.1f} s   waypoint {min(episode.waypoint_index[t] + 1, NUM_WAYPOINTS)} of {NUM_WAYPOINTS}"
+    draw.text((margin, margin), course, fill="black", font=font)
+    draw.text((margin, margin + 1.3 * size), state, fill="black", font=font)
+    if episode.skill is not None:
+        x, y = margin, margin + 2.8 * size
+        for label, index in (("skill", episode.skill[t]), ("oracle", episode.wanted[t])):
+            name = episode.skills[index]
+            draw.rectangle([x, y, x + size, y + size], fill=SKILL_COLOURS.get(name, GREY), outline="black")
+            draw.text((x + 1.5 * size, y - 0.1 * size), f"{label}: {name}", fill="black", font=font)
+            y += 1.4 * size
+    return np.asarray(picture)
+
+
+def write_video(images: Iterator[np.ndarray], out: Path, config: VideoConfig, command: str) -> int:
+    """Encode images as .webp, .gif or .mp4; return their number.
+
+    Raises
+    ------
+    UserError : another suffix, no image, or .mp4 without imageio-ffmpeg
+    """
+    out = Path(out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if out.suffix == ".mp4":
+        return _write_mp4(images, out, config, command)
+    if out.suffix not in (".webp", ".gif"):
+        raise UserError(f"a video ends in .webp, .gif or .mp4, not {out.suffix or out.name!r}")
+    from PIL import Image
+
+    pictures = [Image.fromarray(image) for image in images]
+    if not pictures:
+        raise UserError("nothing to film: --start lies behind the end of the episode")
+    options = {"save_all": True, "append_images": pictures[1:], "duration": round(1000 / config.fps), "loop": 0}
+    if out.suffix == ".gif":
+        palette = pictures[len(pictures) // 2].quantize(128)
+        pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+        options |= {"append_images": pictures[1:], "comment": f"{command}; {made_with()}".encode()}
+    else:
+        exif = Image.Exif()
+        exif[0x010E], exif[0x0131] = command, made_with()  # ImageDescription, Software
+        options |= {"quality": config.quality, "method": 2, "exif": exif}
+    pictures[0].save(out, **options)
+    return len(pictures)
+
+
+def _write_mp4(images: Iterator[np.ndarray], out: Path, config: VideoConfig, command: str) -> int:
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise UserError("MP4 needs one more package: pip install imageio-ffmpeg; .webp and .gif need none") from None
+    tags = ["-metadata", f"comment={command}; {made_with()}"]
+    writer = imageio_ffmpeg.write_frames(
+        str(out), (config.width, config.height), fps=config.fps, macro_block_size=2, output_params=tags
+    )
+    writer.send(None)
+    count = 0
+    for image in images:
+        writer.send(np.ascontiguousarray(image))
+        count += 1
+    writer.close()
+    return count

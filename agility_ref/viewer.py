@@ -1,0 +1,324 @@
+"""Live view: a policy at 50 Hz in the browser, and the same as a standalone page.
+
+The page is drawn by viser (https://viser.studio), which needs no graphics on this machine.
+It was chosen over MuJoCo Studio's web viewer after trying both: viser listens where it is
+told, takes no files from the page, and writes a clip that plays without a server.  There
+is no password, so it listens on 127.0.0.1 only; to watch from elsewhere, tunnel the port:
+``ssh -L 8080:localhost:8080 HOST``.
+
+In:  a policy and an environment.  Out: a page at http://localhost:8080, or an .html file.
+"""
+
+import contextlib
+import io
+import queue
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from agility_ref.env import EnvConfig, Go1Env
+from agility_ref.errors import UserError, unknown_name
+from agility_ref.evaluate import EvaluationConfig
+from agility_ref.plots import GREY, SKILL_COLOURS
+from agility_ref.policies import find_preset
+from agility_ref.record import Episode
+from agility_ref.scene import BOX, CAPSULE, CYLINDER, ELLIPSOID, LOOK_GROUP, SPHERE, WAYPOINT_COLOURS, make_scene
+from agility_ref.selector import Hierarchy, Single
+from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, World, make_course
+
+LOOPBACK = "127.0.0.1"
+PUSH = 1.0  # [m/s] added to the trunk's velocity by a push
+MISSING = "the live view needs one more package: pip install viser; `agility-ref video` and `plot strobe` do not"
+
+
+class Session:
+    """One robot that plays on and on; what the page's controls act on."""
+
+    def __init__(self, policy: Single | Hierarchy, environment: str, config: EvaluationConfig):
+        if environment not in COURSE_KINDS:
+            raise unknown_name("environment", environment, COURSE_KINDS)
+        highest = find_preset(config.preset).max_difficulty
+        if config.difficulty is not None and not 0.0 <= config.difficulty <= 1.0:
+            raise UserError(f"difficulty must be between 0 and 1, not {config.difficulty}")
+        self.policy, self.environment, self.config = policy, environment, config
+        self.difficulty = highest / 2 if config.difficulty is None else config.difficulty
+        self.paused = False
+        self.number = -1
+        self.by_hand: int | None = None  # index of the skill that the visitor chose
+        self.last_ending = ""
+        self.next_course()
+
+    def next_course(self, difficulty: float | None = None) -> None:
+        """Start on another course, of another difficulty if one is given."""
+        self.number += 1
+        self.difficulty = self.difficulty if difficulty is None else difficulty
+        env_config = EnvConfig().clean() if self.config.clean else EnvConfig()
+        rng = np.random.default_rng([self.config.seed, self.number])
+        self.course = make_course(self.environment, self.difficulty, rng)
+        seed = self.config.seed + self.number
+        self.env = Go1Env(World([self.course]), 1, env_config, seed=seed, num_threads=1)
+        self._qpos, self._qvel = self.env.batch.bind("qpos"), self.env.batch.bind("qvel")
+        self.observation, _ = self.env.reset(seed)
+        self.policy.reset()
+        self.skill: int | None = None
+
+    def step(self) -> None:
+        """Advance by one control step; a finished episode starts again on the same course."""
+        if isinstance(self.policy, Hierarchy) and self.by_hand is not None:
+            self.skill = self.by_hand
+            action = self.policy.execute(self.observation, np.array([self.by_hand]))
+        else:
+            action, skill = self.policy.act(self.observation, self.env)
+            self.skill = None if skill is None else int(skill[0])
+        self.observation, _, terminated, truncated, info = self.env.step(action)
+        if terminated[0] or truncated[0]:
+            waypoints = info["episode"]["waypoints"][0]
+            ending = "fell" if terminated[0] else "finished" if waypoints == NUM_WAYPOINTS else "ran out of time"
+            self.last_ending = f"{ending} after {info['episode']['length'][0] * self.env.config.dt:.1f} s"
+            self.policy.reset()
+
+    def push(self, direction: str) -> None:
+        """Kick the trunk to the ``left`` or ``right`` or from ``behind``."""
+        forward = np.array([np.cos(self.env.yaw[0]), np.sin(self.env.yaw[0])])
+        left = np.array([-forward[1], forward[0]])
+        self._qvel[0, :2] += PUSH * {"left": left, "right": -left, "behind": forward}[direction]
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """(19,) joint positions now, a copy."""
+        return self._qpos[0].copy()
+
+    @property
+    def skill_names(self) -> tuple[str, ...]:
+        """Skills of a hierarchy, none for a single policy."""
+        return tuple(s.name for s in self.policy.skills) if isinstance(self.policy, Hierarchy) else ()
+
+    def status(self) -> str:
+        """Return what the page shows beside the view, as Markdown."""
+        env = self.env
+        lines = [
+            f"**{self.policy.name}** on **{self.environment}**, d = {self.difficulty:.2f}, course {self.number}",
+            f"waypoint **{min(env.waypoint_index[0] + 1, NUM_WAYPOINTS)}** of {NUM_WAYPOINTS}, "
+            f"speed {env.base_lin_vel[0, 0]:.1f} of {env.command[0]:.1f} m/s",
+        ]
+        if self.skill is not None:
+            wanted = self.skill_names[self.policy.labels[env.oracle_skill()[0]]]
+            by = "by hand" if self.by_hand is not None else "by the policy"
+            lines.append(f"skill **{self.skill_names[self.skill]}** {by}; the oracle would take {wanted}")
+        if self.last_ending:
+            lines.append(f"last episode: {self.last_ending}")
+        return "\n\n".join(lines)
+
+
+# ---------------------------------------------------------------------------- the page
+
+
+def open_server(port: int):
+    """Start viser on the loopback address only.
+
+    Raises
+    ------
+    UserError : viser is not installed
+    """
+    try:
+        import viser
+    except ImportError:
+        raise UserError(MISSING) from None
+    with contextlib.redirect_stdout(io.StringIO()):  # its banner; ours names the same address
+        server = viser.ViserServer(host=LOOPBACK, port=port, label="agility_ref", verbose=False)
+    server.scene.set_up_direction("+z")
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    sky = np.linspace([150, 190, 230], [238, 244, 249], 64).astype(np.uint8)
+    server.scene.set_background_image(np.repeat(sky[:, None], 2, axis=1))
+    server.scene.configure_environment_map("studio", environment_intensity=0.35)
+    server.initial_camera.position, server.initial_camera.look_at = (-1.1, -1.9, 0.9), (0.3, 0.0, 0.2)
+    return server
+
+
+def close(server) -> None:
+    """Stop a server, quietly."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+def geom_mesh(model: mujoco.MjModel, geom: int):
+    """Return the mesh of one primitive geom in the frame of its body, coloured."""
+    import trimesh
+
+    size, kind = model.geom_size[geom], model.geom_type[geom]
+    if kind == BOX:
+        mesh = trimesh.creation.box(2 * size)
+    elif kind == SPHERE:
+        mesh = trimesh.creation.icosphere(2, size[0])
+    elif kind == ELLIPSOID:
+        mesh = trimesh.creation.icosphere(3).apply_scale(size)
+    elif kind == CAPSULE:
+        mesh = trimesh.creation.capsule(2 * size[1], size[0], count=[12, 12])
+        mesh.apply_translation([0, 0, -mesh.bounds.mean(axis=0)[2]])
+    elif kind == CYLINDER:
+        mesh = trimesh.creation.cylinder(size[0], 2 * size[1], sections=20)
+    else:
+        raise ValueError(f"no mesh for geom type {kind}")
+    frame = np.eye(4)
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+    frame[:3, :3], frame[:3, 3] = rotation.reshape(3, 3), model.geom_pos[geom]
+    mesh.apply_transform(frame)
+    if kind in (BOX, CYLINDER):
+        mesh.unmerge_vertices()  # so that edges are sharp
+    mesh.visual.vertex_colors = np.tile((255 * model.geom_rgba[geom]).astype(np.uint8), (len(mesh.vertices), 1))
+    return mesh
+
+
+class Stage:
+    """The scene on the page: the course moves past the robot, so the camera follows by itself."""
+
+    def __init__(self, server, course: Course):
+        import trimesh
+
+        self.server = server
+        self.model = make_scene(course)
+        self.data = mujoco.MjData(self.model)
+        self.root = server.scene.add_frame("/course", show_axes=False)
+        self.bodies = {}
+        shown = np.isin(self.model.geom_group, (0, LOOK_GROUP))
+        balls = [self.model.geom(f"waypoint{k}").id for k in range(NUM_WAYPOINTS)]
+        shown[balls] = False
+        for body in range(self.model.nbody):
+            geoms = np.flatnonzero(shown & (self.model.geom_bodyid == body))
+            if len(geoms):
+                name = f"/course/{self.model.body(body).name}"
+                mesh = trimesh.util.concatenate([geom_mesh(self.model, g) for g in geoms])
+                self.bodies[body] = server.scene.add_mesh_trimesh(name, mesh)
+        colour = tuple(int(WAYPOINT_COLOURS["ahead"][k : k + 2], 16) for k in (1, 3, 5))
+        self.balls = [
+            server.scene.add_icosphere(f"/course/waypoint{k}", 0.035, color=colour, position=self.model.geom_pos[g])
+            for k, g in enumerate(balls)
+        ]
+        self.label = server.scene.add_label("/label", "", position=(0.0, 0.0, 0.55))
+        self._waypoint = -1
+
+    def update(self, qpos: np.ndarray, waypoint: int, label: str) -> None:
+        """Move the robot, colour the waypoints, write the active skill above the trunk."""
+        self.data.qpos[:] = qpos
+        mujoco.mj_kinematics(self.model, self.data)
+        with self.server.atomic():
+            self.root.position = (-qpos[0], -qpos[1], -qpos[2] + 0.28)
+            for body, handle in self.bodies.items():
+                if body:
+                    handle.position, handle.wxyz = self.data.xpos[body], self.data.xquat[body]
+            if label != self.label.text:
+                self.label.text = label
+            if waypoint != self._waypoint:
+                self._waypoint = waypoint
+                for k, ball in enumerate(self.balls):
+                    state = "reached" if k < waypoint else "current" if k == waypoint else "ahead"
+                    ball.color = tuple(int(WAYPOINT_COLOURS[state][c : c + 2], 16) for c in (1, 3, 5))
+
+    def remove(self) -> None:
+        """Take everything off the page."""
+        self.root.remove()
+        self.label.remove()
+
+
+def add_controls(server, session: Session, wishes: queue.SimpleQueue):
+    """Add the page's controls; each puts a function into ``wishes`` for the simulation's thread.
+
+    Returns the handle of the status text.
+    """
+    status = server.gui.add_markdown("")
+    colours = [f'<span style="color:{SKILL_COLOURS.get(s, GREY)}">■</span> {s}' for s in session.skill_names]
+    if colours:
+        server.gui.add_markdown(" &nbsp; ".join(colours))
+    pause = server.gui.add_button_group("simulation", ["pause", "go on"])
+    pause.on_click(lambda event: wishes.put(lambda: setattr(session, "paused", event.target.value == "pause")))
+    following = server.gui.add_button("next course")
+    following.on_click(lambda _: wishes.put(session.next_course))
+    difficulty = server.gui.add_slider("difficulty", 0.0, 1.0, 0.05, round(20 * session.difficulty) / 20)
+    difficulty.on_update(lambda _: wishes.put(lambda: session.next_course(difficulty.value)))
+    push = server.gui.add_button_group("push", ["left", "right", "behind"])
+    push.on_click(lambda event: wishes.put(lambda value=event.target.value: session.push(value)))
+    if session.skill_names:
+        choices = ("the policy chooses", *session.skill_names)
+        skill = server.gui.add_dropdown("skill", choices)
+
+        def choose() -> None:
+            session.by_hand = None if skill.value == choices[0] else choices.index(skill.value) - 1
+
+        skill.on_update(lambda _: wishes.put(choose))
+    return status
+
+
+def serve(
+    policy: Single | Hierarchy,
+    environment: str,
+    config: EvaluationConfig,
+    port: int = 8080,
+    seconds: float = np.inf,
+) -> None:
+    """Play in real time until interrupted, or for ``seconds`` of wall time.
+
+    Raises
+    ------
+    UserError : viser is not installed, or an unknown environment
+    """
+    session = Session(policy, environment, config)
+    server = open_server(port)
+    wishes: queue.SimpleQueue = queue.SimpleQueue()
+    status = add_controls(server, session, wishes)
+    stage, course = Stage(server, session.course), session.course
+    print(f"watch at http://localhost:{server.get_port()} (this machine only; no password). Ctrl-C stops.", flush=True)
+    dt, begin = session.env.config.dt, time.monotonic()
+    tick, counted, steps = begin, begin, 0
+    try:
+        while time.monotonic() - begin < seconds:
+            while not wishes.empty():
+                wishes.get()()
+            if session.course is not course:
+                stage.remove()
+                stage, course = Stage(server, session.course), session.course
+            if not session.paused:
+                session.step()
+            skill = session.policy.name if session.skill is None else session.skill_names[session.skill]
+            stage.update(session.qpos, session.env.waypoint_index[0], skill)
+            steps += 1
+            if steps % 25 == 0:
+                rate, counted = 25 / (time.monotonic() - counted), time.monotonic()
+                status.content = f"{session.status()}\n\n{rate:.0f} control steps/s; real time is {1 / dt:.0f}"
+            tick = max(tick + dt, time.monotonic() - 5 * dt)  # catch up a little, never a lot
+            time.sleep(max(tick - time.monotonic(), 0.0))
+    finally:
+        close(server)
+
+
+# ---------------------------------------------------------------------------- the clip
+
+
+def clip(episode: Episode, out: Path, seconds: float = 10.0, fps: int = 25) -> Path:
+    """Write an episode as a page that plays without a server; return its path.
+
+    Parameters
+    ----------
+    episode : what was played
+    out : an .html file
+    seconds : how much of it, from the start [s]
+    fps : pictures per second; usual 10 to 50
+    """
+    if seconds <= 0:
+        raise UserError(f"seconds must be positive, not {seconds}")
+    server = open_server(0)
+    try:
+        stage = Stage(server, episode.course)
+        serializer = server.get_scene_serializer()
+        stride = max(round(1 / fps / episode.dt), 1)
+        for t in range(0, min(len(episode), round(seconds / episode.dt)), stride):
+            stage.update(episode.qpos[t], int(episode.waypoint_index[t]), episode.skill_name(t))
+            serializer.insert_sleep(stride * episode.dt)
+        out = Path(out)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(serializer.as_html())
+    finally:
+        close(server)
+    return out

@@ -1,0 +1,208 @@
+"""Against Stable-Baselines3 PPO on the same environment.
+
+    python benchmarks/vs_stable_baselines3.py [--json]      needs: pip install "agility-ref[bench]"
+
+Both learn the quick walk from scratch: the same robots and courses, two separate ELU
+networks of the same widths, the same batch, minibatches, epochs, discount and clipping.
+What stays each library's own: our KL-adaptive learning rate against its constant one, our
+hand-scaled scandots against its ``VecNormalize``.  They take turns, a few iterations each,
+and each has its own clock.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import torch
+import tyro
+from common import available_cores, machine, report, require, walk_training
+
+from agility_ref.env import ACTION_DIM, OBS_DIM, SCANDOTS, Go1Env
+from agility_ref.ppo import Learner, PPOConfig, train
+from agility_ref.terrain import NUM_WAYPOINTS
+
+
+@dataclass(frozen=True)
+class Config:
+    """Our PPO against Stable-Baselines3's."""
+
+    steps: int = 3_000_000
+    """Environment steps of each, at most; each stops at the goal."""
+    goal: float = 0.8
+    """Waypoint fraction of the last 200 training episodes at which a clock stops."""
+    seed: int = 0
+    """Seed of both."""
+    learning_rate: float = 3e-4
+    """Constant learning rate of Stable-Baselines3; its default."""
+    their_threads: int = 0
+    """Torch threads of Stable-Baselines3; 0 for torch's default, all cores."""
+    turn: int = 10
+    """Iterations before the other's turn."""
+    json: bool = False
+    """Print one JSON object."""
+
+
+class Race:
+    """One learner's clock, steps and recent episodes."""
+
+    def __init__(self, name: str, threads: int = 0):
+        self.name = name
+        self.episodes: deque[float] = deque(maxlen=200)
+        self.steps, self.seconds = 0, 0.0
+        self.threads = threads or available_cores()
+        self.reached_steps: int | None = None
+        self.reached_seconds: float | None = None
+
+    def waypoint_fraction(self) -> float:
+        """Mean over the last 200 episodes; 0 until there are as many."""
+        return float(np.mean(self.episodes)) if len(self.episodes) == self.episodes.maxlen else 0.0
+
+    def figures(self) -> dict:
+        """Return what is printed."""
+        return {
+            "steps": self.steps,
+            "seconds": self.seconds,
+            "steps_per_second": self.steps / self.seconds,
+            "waypoint_fraction": self.waypoint_fraction(),
+            "reached_steps": self.reached_steps,
+            "reached_seconds": self.reached_seconds,
+        }
+
+
+def our_turns(race: Race, config: Config) -> Callable[[], None]:
+    """Return a function that trains ours for one turn."""
+    ppo = PPOConfig()
+    env, _ = walk_training(config.seed, ppo.num_envs)
+    learner = Learner.create(OBS_DIM, ACTION_DIM, ppo, config.seed, fixed=SCANDOTS)
+    iterations = train(env, learner, 10**12)
+
+    def turn() -> None:
+        for _ in range(config.turn):
+            record = next(iterations)
+            race.steps = record["steps"]
+            race.episodes.extend(episode["waypoints"] / NUM_WAYPOINTS for episode in record["episodes"])
+
+    return turn
+
+
+def adapter(env: Go1Env, episodes: deque, seed: int) -> object:
+    """Wrap Go1Env as a Stable-Baselines3 VecEnv: it resets in the same step, so does that."""
+    from gymnasium.spaces import Box
+    from stable_baselines3.common.vec_env import VecEnv
+
+    class Go1VecEnv(VecEnv):
+        def __init__(self):
+            super().__init__(
+                env.num_envs,
+                Box(-np.inf, np.inf, (OBS_DIM,), np.float32),
+                Box(-env.config.action_limit, env.config.action_limit, (ACTION_DIM,), np.float32),
+            )
+
+        def reset(self):
+            return env.reset(seed)[0]
+
+        def step_async(self, actions):
+            self.actions = actions
+
+        def step_wait(self):
+            observation, reward, terminated, truncated, info = env.step(self.actions)
+            done = terminated | truncated
+            infos: list[dict] = [{} for _ in range(env.num_envs)]
+            for i in np.flatnonzero(done):
+                infos[i] = {
+                    "terminal_observation": info["final_observation"][i],
+                    "TimeLimit.truncated": bool(truncated[i]),
+                }
+                episodes.append(info["episode"]["waypoints"][i] / NUM_WAYPOINTS)
+            return observation, reward, done, infos
+
+        def close(self):
+            pass
+
+        def get_attr(self, name, indices=None):
+            return [getattr(env, name, None)] * env.num_envs
+
+        def set_attr(self, name, value, indices=None):
+            raise NotImplementedError
+
+        def env_method(self, name, *args, indices=None, **kwargs):
+            raise NotImplementedError
+
+        def env_is_wrapped(self, wrapper_class, indices=None):
+            return [False] * env.num_envs
+
+    return Go1VecEnv()
+
+
+def their_turns(race: Race, config: Config) -> Callable[[], None]:
+    """Return a function that trains Stable-Baselines3 for one turn."""
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    ppo = PPOConfig()
+    env, _ = walk_training(config.seed, ppo.num_envs)
+    hidden = list(ppo.hidden)
+    model = PPO(
+        "MlpPolicy",
+        VecNormalize(adapter(env, race.episodes, config.seed), norm_reward=False, clip_obs=5.0),
+        learning_rate=config.learning_rate,
+        n_steps=ppo.num_steps,
+        batch_size=ppo.batch_size // ppo.num_minibatches,
+        n_epochs=ppo.update_epochs,
+        gamma=ppo.gamma,
+        gae_lambda=ppo.gae_lambda,
+        clip_range=ppo.clip_coef,
+        ent_coef=ppo.ent_coef,
+        vf_coef=ppo.vf_coef,
+        max_grad_norm=ppo.max_grad_norm,
+        policy_kwargs={
+            "net_arch": {"pi": hidden, "vf": hidden},
+            "activation_fn": torch.nn.ELU,
+            "log_std_init": float(np.log(ppo.init_std)),
+        },
+        seed=config.seed,
+        device="cpu",
+    )
+
+    def turn() -> None:
+        model.learn(config.turn * ppo.batch_size, reset_num_timesteps=False)
+        race.steps = model.num_timesteps
+
+    return turn
+
+
+def main(config: Config) -> None:
+    require("stable_baselines3", "Stable-Baselines3")
+    started = machine()
+    ours, theirs = Race("agility_ref"), Race("stable-baselines3", config.their_threads)
+    turns = [(ours, our_turns(ours, config)), (theirs, their_turns(theirs, config))]
+    while running := [(race, turn) for race, turn in turns if race.reached_steps is None and race.steps < config.steps]:
+        for race, turn in running:
+            torch.set_num_threads(race.threads)
+            start = time.perf_counter()
+            turn()
+            race.seconds += time.perf_counter() - start
+            race.threads = torch.get_num_threads()  # ours chooses its own when it starts
+            if race.waypoint_fraction() >= config.goal:
+                race.reached_steps, race.reached_seconds = race.steps, race.seconds
+    figures = {race.name: race.figures() for race, _ in turns}
+    figures["steps_per_second_ratio"] = (ours.steps / ours.seconds) / (theirs.steps / theirs.seconds)
+    if ours.reached_seconds and theirs.reached_seconds:
+        figures["wall_time_ratio"] = ours.reached_seconds / theirs.reached_seconds
+    rows = [
+        {
+            "PPO": race.name,
+            "steps/s": f"{race.steps / race.seconds:.0f}",
+            f"steps to {config.goal}": race.reached_steps or f"not in {race.steps}",
+            "wall [s]": f"{race.reached_seconds:.0f}" if race.reached_seconds else "-",
+            "waypoints at the end": f"{race.waypoint_fraction():.2f}",
+        }
+        for race, _ in turns
+    ]
+    report(config.json, started, {"config": asdict(config), **figures}, rows)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))
