@@ -399,7 +399,7 @@ def watch(argv: list[str]) -> None:
 def list_names(argv: list[str]) -> None:
     """Print what there is."""
     from agility_ref.policies import ALIASES, ENVIRONMENTS, POLICIES, PRESETS
-    from agility_ref.runs import shipped_weights
+    from agility_ref.weights import FOLDER, file_name
 
     print(f"environments: {' '.join(ENVIRONMENTS)}\npresets: {' '.join(PRESETS)}\n")
     print(f"{'policy':16}{'trains on':58}{'quick':>8}{'full':>8}  weights shipped (preset: seeds)")
@@ -407,7 +407,7 @@ def list_names(argv: list[str]) -> None:
         shipped = [
             f"{preset}: {' '.join(seeds)}"
             for preset in PRESETS
-            if (seeds := [str(k) for k in range(10) if shipped_weights(preset, spec.name, k).exists()])
+            if (seeds := [str(k) for k in range(10) if (FOLDER / file_name(preset, spec.name, k)).exists()])
         ]
         budgets = "".join(f"{b / 1e6:7.1f}M" if b else f"{'-':>8}" for b in spec.budget)
         print(f"{spec.name:16}{' '.join(spec.courses) or '-':58}{budgets}  {', '.join(shipped) or '-'}")

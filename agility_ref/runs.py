@@ -18,12 +18,11 @@ import sys
 import time
 from collections import deque
 from dataclasses import asdict, dataclass, replace
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
-from agility_ref import checkpoint
+from agility_ref import checkpoint, weights
 from agility_ref.checkpoint import Policy
 from agility_ref.curriculum import Curriculum, CurriculumConfig, training_world
 from agility_ref.env import ACTION_DIM, NUM_SCANDOTS, OBS_DIM, SCANDOTS, EnvConfig, Go1Env
@@ -87,12 +86,6 @@ def run_folder(root: Path, policy: str, seed: int) -> Path:
     return Path(root) / find_policy(policy).name / f"seed{seed}"
 
 
-def shipped_weights(preset: str, policy: str, seed: int) -> Path:
-    """Return where the package keeps the weights of a policy, whether or not it does."""
-    name = f"{find_policy(policy).name}-{preset}-seed{seed}.npz"
-    return Path(str(resources.files("agility_ref") / "weights" / name))
-
-
 def weights_path(policy: str, config: TrainConfig) -> Path:
     """Find the weights of a policy: own runs first, then those shipped.
 
@@ -104,8 +97,8 @@ def weights_path(policy: str, config: TrainConfig) -> Path:
     own = run_folder(config.root, policy, config.seed)
     if (own / "DONE").exists():
         return own / "policy.npz"
-    shipped = shipped_weights(config.preset, policy, config.seed)
-    if shipped.exists():
+    shipped = weights.shipped(config.preset, policy, config.seed)
+    if shipped:
         return shipped
     raise UserError(
         f"no weights for {policy}, preset {config.preset}, seed {config.seed}; "

@@ -1,0 +1,80 @@
+"""Shipped weights: policies inside the package, each with its digest and training record.
+
+    agility_ref/weights/<policy>-<preset>-seed<k>.npz  and  manifest.json
+
+In:  finished run folders.  Out: files without the optimiser, and a manifest that loading
+checks them against.  ``python -m agility_ref.weights RUNS...`` adds runs to the package.
+"""
+
+import csv
+import json
+import sys
+from importlib import resources
+from pathlib import Path
+
+from agility_ref import checkpoint
+from agility_ref.errors import UserError
+from agility_ref.policies import find_policy
+
+FOLDER = Path(str(resources.files("agility_ref") / "weights"))
+CURVE_POINTS = 60  # points of progress.csv that the manifest keeps
+
+
+def file_name(preset: str, policy: str, seed: int) -> str:
+    """Return the name of a weight file."""
+    return f"{find_policy(policy).name}-{preset}-seed{seed}.npz"
+
+
+def manifest(folder: Path = FOLDER) -> dict[str, dict]:
+    """Read the manifest: file name -> digest and training record."""
+    path = folder / "manifest.json"
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def shipped(preset: str, policy: str, seed: int, folder: Path = FOLDER) -> Path | None:
+    """Return the path of shipped weights, or None where there are none.
+
+    Raises
+    ------
+    UserError : the file is not the one that the manifest records
+    """
+    path = folder / file_name(preset, policy, seed)
+    if not path.exists():
+        return None
+    expected = manifest(folder).get(path.name, {}).get("sha256")
+    if checkpoint.sha256(path) != expected:
+        raise UserError(f"shipped weights {path.name} differ from their manifest; reinstall the package")
+    return path
+
+
+def _curve(progress: Path) -> list[dict[str, float]]:
+    with open(progress, newline="") as file:
+        rows = list(csv.DictReader(file))
+    stride = max(1, len(rows) // CURVE_POINTS)
+    return [{key: float(value) for key, value in row.items()} for row in rows[stride - 1 :: stride]]
+
+
+def ship(run: Path, folder: Path = FOLDER) -> Path:
+    """Copy a finished run into the package and record it in the manifest.
+
+    Raises
+    ------
+    UserError : the run is not finished
+    """
+    if not (run / "DONE").exists():
+        raise UserError(f"{run} holds no finished run")
+    arrays, meta = checkpoint.load(run / "policy.npz")
+    kept = {name: a for name, a in arrays.items() if not name.startswith(("optimizer.", "curriculum."))}
+    path = folder / file_name(meta["preset"], meta["policy"], meta["seed"])
+    checkpoint.save(path, kept, {key: value for key, value in meta.items() if key != "schema"})
+    record = {key: meta[key] for key in ("policy", "preset", "seed", "steps", "wall_seconds", "courses", "versions")}
+    entries = manifest(folder) | {
+        path.name: {"sha256": checkpoint.sha256(path), **record, "curve": _curve(run / "progress.csv")}
+    }
+    (folder / "manifest.json").write_text(json.dumps(entries, indent=0, sort_keys=True) + "\n")
+    return path
+
+
+if __name__ == "__main__":
+    for argument in sys.argv[1:]:
+        print(ship(Path(argument)))
