@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -97,8 +98,17 @@ def mlp(x: np.ndarray, layers: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarra
 
 
 def layers_of(arrays: dict[str, np.ndarray], prefix: str) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Collect ``<prefix>.<i>.weight`` and ``.bias`` in the order of i."""
-    names = [n for n in arrays if n.startswith(f"{prefix}.") and n.endswith(".weight")]
+    """Collect ``<prefix>.<i>.weight`` and ``.bias`` in the order of i.
+
+    Raises
+    ------
+    UserError : an array under the prefix has another name
+    """
+    own = [n for n in arrays if n.startswith(f"{prefix}.")]
+    for name in own:
+        if not re.fullmatch(rf"{prefix}\.\d+\.(weight|bias)", name):
+            raise UserError(f"{name} is not a layer of the {prefix}")
+    names = [n for n in own if n.endswith(".weight")]
     names.sort(key=lambda n: int(n.split(".")[1]))
     return [(arrays[n], arrays[n.replace(".weight", ".bias")]) for n in names]
 
@@ -126,6 +136,8 @@ class Policy:
         try:
             layers = layers_of(arrays, "actor")
             mean, std = arrays["normalizer.mean"], np.sqrt(arrays["normalizer.var"] + 1e-8)
+            if std.shape != mean.shape:
+                raise UserError(f"{source}: normalizer.var has shape {std.shape}, mean {mean.shape}")
             width = len(mean)
             for weight, bias in layers:
                 if weight.shape != (len(bias), width):

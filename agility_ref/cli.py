@@ -46,7 +46,7 @@ def train(argv: list[str]) -> None:
 
 def evaluate(argv: list[str]) -> None:
     """Evaluate one policy on one environment."""
-    from agility_ref.evaluate import METRICS, EvaluationConfig
+    from agility_ref.evaluate import METRICS, EvaluationConfig, evaluation_world
     from agility_ref.evaluate import evaluate as run
     from agility_ref.runs import TrainConfig, load_policy
 
@@ -67,6 +67,7 @@ def evaluate(argv: list[str]) -> None:
         """Print one JSON object."""
 
     args = tyro.cli(Evaluate, args=argv, prog="agility-ref evaluate")
+    evaluation_world(args.environment, args.config)  # named before the weights are looked for
     training = TrainConfig(preset=args.config.preset, seed=args.train_seed, out=args.out)
     summary = run(load_policy(args.policy, training), args.environment, args.config).summary()
     if args.json:

@@ -68,7 +68,7 @@ def strobe(episode: Episode, period: float = 0.7, spacing: float = 0.3):
     for start in starts:
         here = (start - 0.3 <= X) & (start + ROW_LENGTH + 0.3 >= X)
         on_row = (x >= start - 0.3) & (x <= start + ROW_LENGTH + 0.3)
-        top = max(highest[here].max() + 0.62, z[on_row].max() + 0.40 if on_row.any() else -np.inf)
+        top = max(highest[here].max() + 0.70, z[on_row].max() + 0.40 if on_row.any() else -np.inf)
         bottom = max(ground[here].min() - 0.12, np.median(ground[here]) - 0.75)
         limits.append((bottom, top))
     width, pad, head, foot = 10.0, 0.42, 0.62, 0.60  # [inch]
@@ -93,7 +93,12 @@ def strobe(episode: Episode, period: float = 0.7, spacing: float = 0.3):
                 if start - 0.4 < x[t] < start + ROW_LENGTH + 0.4:
                     robot.draw(axis, episode.qpos[t], 5 + 0.01 * k)
                     if start + 0.1 < x[t] < start + ROW_LENGTH - 0.1 and abs(x[t] - previous) > 0.35:
-                        axis.text(x[t], z[t] + 0.11, f"{t * episode.dt:.1f} s", ha="center", va="bottom", fontsize=9.5)
+                        later = drawn[k + 1] if k + 1 < len(drawn) else len(episode)
+                        label = f"{t * episode.dt:.1f}"
+                        if (later - t) * episode.dt > 2 * period:  # it stood here, or tried in vain
+                            label += f" to {later * episode.dt:.1f}"
+                        place = {"ha": "center", "va": "bottom", "fontsize": 9.5, "zorder": 12}
+                        axis.text(x[t], z[t] + 0.11, f"{label} s", **place)
                         previous = x[t]
             _draw_contacts(axis, episode)
         axis.set_xlabel("x [m], to scale")
@@ -113,9 +118,9 @@ def _draw_waypoints(axis, episode: Episode, start: float) -> None:
     for k, (x, z) in enumerate(zip(episode.course.waypoints[:, 0], waypoint_heights(episode.course), strict=True)):
         if start < x < start + ROW_LENGTH:
             reached = k < episode.reached
-            axis.plot([x, x], [z, z + 0.5], color="black", linewidth=0.8, alpha=0.5, zorder=2.6)
-            axis.plot(x, z + 0.5, "o", color="#CC79A7" if reached else "white", markeredgecolor="black", markersize=7)
-            axis.annotate(str(k + 1), (x, z + 0.5), (5, 0), textcoords="offset points", va="center", fontsize=10)
+            axis.plot([x, x], [z, z + 0.58], color="black", linewidth=0.8, alpha=0.5, zorder=2.6)
+            axis.plot(x, z + 0.58, "o", color="#CC79A7" if reached else "white", markeredgecolor="black", markersize=7)
+            axis.annotate(str(k + 1), (x, z + 0.58), (5, 0), textcoords="offset points", va="center", fontsize=10)
 
 
 def _draw_skill_band(axis, episode: Episode, top: float) -> None:
@@ -178,12 +183,13 @@ def oracle_map(episodes: list[Episode], half_width: float = 1.5):
     hierarchy = episodes[0].skill is not None
     first = episodes[0]
     with style():
-        figure, axes = new_figure(len(lanes), 1, (10.0, 1.0 + (2.05 + 0.35 * hierarchy) * len(lanes)))
+        end = min(max(e.course.waypoints[:, 0].max() for e in episodes) + 1.0, LANE_LENGTH)
+        lane_height = 9.1 / end * (2 * half_width + 0.75 * hierarchy) + 0.62  # [inch]
+        figure, axes = new_figure(len(lanes), 1, (10.0, 1.1 + lane_height * len(lanes)))
         everything = [height_map(lane[0].course) for lane in lanes.values()]
         shades = min(h.min() for h in everything), max(h.max() for h in everything)
-        end = min(max(e.course.waypoints[:, 0].max() for e in episodes) + 1.0, LANE_LENGTH)
         for axis, lane, heights in zip(axes[:, 0], lanes.values(), everything, strict=True):
-            _draw_lane(axis, lane[0].course, heights, shades, half_width)
+            _draw_lane(axis, lane[0].course, heights, shades, end, half_width)
             for episode in lane:
                 _draw_trail(axis, episode)
             bottom = -half_width
@@ -191,11 +197,12 @@ def oracle_map(episodes: list[Episode], half_width: float = 1.5):
                 bottom -= 0.75
                 _draw_choices(axis, lane, -half_width)
             reached = np.mean([e.reached for e in lane]) / NUM_WAYPOINTS
-            axis.set_title(
+            title = axis.set_title(
                 f"d = {lane[0].course.difficulty:.2f}: {100 * reached:.0f} % of the waypoints, "
                 f"{sum(e.fell for e in lane)} of {len(lane)} robots fell" + _agreement(lane),
                 fontsize=12, loc="left",
             )  # fmt: skip
+            title.set_in_layout(False)  # a long title must not squeeze the lane
             axis.set(xlim=(0, end), ylim=(bottom, half_width), ylabel="y [m]", aspect="equal")
             axis.set_yticks([-1, 0, 1])
             axis.grid(visible=False)
@@ -205,7 +212,9 @@ def oracle_map(episodes: list[Episode], half_width: float = 1.5):
         return figure
 
 
-def _draw_lane(axis, course: Course, heights: np.ndarray, shades: tuple[float, float], half_width: float) -> None:
+def _draw_lane(
+    axis, course: Course, heights: np.ndarray, shades: tuple[float, float], end: float, half_width: float
+) -> None:
     """Shade the height, overlay the skill regions, mark edges and waypoints."""
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Rectangle
@@ -224,8 +233,8 @@ def _draw_lane(axis, course: Course, heights: np.ndarray, shades: tuple[float, f
             span = [start * CELL, stop * CELL]
             axis.fill_between(span, -half_width, half_width, color=skill_colour(name), alpha=0.5, linewidth=0)
     lines = [[(e.x0, e.y0), (e.x1, e.y1)] for e in find_edges(heights)]
-    edges = axis.add_collection(LineCollection(lines, colors="black", linewidths=0.8, alpha=0.6))
-    edges.set_clip_path(Rectangle((0, -half_width), LANE_LENGTH, 2 * half_width, transform=axis.transData))
+    edges = axis.add_collection(LineCollection(lines, colors="black", linewidths=0.8, alpha=0.6, in_layout=False))
+    edges.set_clip_path(Rectangle((0, -half_width), end, 2 * half_width, transform=axis.transData))
     axis.plot(*course.waypoints.T, "D", color="white", markeredgecolor="black", markersize=6, zorder=4)
 
 

@@ -87,7 +87,7 @@ def save_figure(figure, out: Path, command: str) -> list[Path]:
     for key, text in made.items():
         info.add_itxt(key, text)
     # 256 colours are enough for a diagram and take a third of the space.
-    image = Image.open(buffer).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    image = Image.open(buffer).convert("RGB").quantize(256, kmeans=2, dither=Image.Dither.NONE)
     image.save(partials[0], format="PNG", pnginfo=info, optimize=True)
     for partial, path in zip(partials, paths, strict=True):
         os.replace(partial, path)
@@ -144,7 +144,7 @@ def band(curves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return middle, low, high
 
 
-def _wall_axis(axis, curve: dict[str, np.ndarray]) -> None:
+def _wall_axis(axis, curve: dict[str, np.ndarray], whose: str = "") -> None:
     """Add wall time [min] above the axis; a warm start's own time lies left of zero."""
     from matplotlib.ticker import MaxNLocator
 
@@ -161,7 +161,7 @@ def _wall_axis(axis, curve: dict[str, np.ndarray]) -> None:
     )
     ticks = MaxNLocator(5).tick_values(0, minutes[-1])
     twin.set_xticks(ticks[(ticks >= 0) & (ticks <= minutes[-1])])
-    twin.set_xlabel("wall time [min]")
+    twin.set_xlabel(f"wall time{whose} [min]")
 
 
 def learning_curves(
@@ -190,7 +190,8 @@ def learning_curves(
             axis.set_xlim(left=0)
         for axis in axes[0]:
             if curves:
-                _wall_axis(axis, next(iter(curves.values()))[0])
+                first = next(iter(curves))
+                _wall_axis(axis, curves[first][0], f" of {first}")
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
         return figure
 

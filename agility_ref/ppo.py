@@ -289,7 +289,7 @@ def update(learner: Learner, rollout: Rollout) -> dict[str, float]:
 def train(env, learner: Learner, total_steps: int, stop: Callable[[], bool] = lambda: False) -> Iterator[dict]:
     """Alternate :func:`collect` and :func:`update` until ``total_steps``; yield each iteration's record."""
     torch.set_num_threads(1)  # two threads fight the simulation's and gain nothing at this size
-    obs, _ = env.reset(learner.seed)
+    obs, _ = env.reset(learner.seed + learner.steps)
     while learner.steps < total_steps and not stop():
         start = time.perf_counter()
         rollout, obs = collect(env, learner, obs)

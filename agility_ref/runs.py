@@ -225,6 +225,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
                 save()
                 last_save = time.monotonic()
             if iteration % 100 == 99:
+                log.write()
                 learning_curve(folder / "progress.csv", folder / "learning_curve.png", spec.name)
         log.close()
         save()
@@ -241,8 +242,11 @@ def _resume_or_warm_start(
     saved = folder / "policy.npz"
     if saved.exists():
         arrays, meta = checkpoint.load(saved)
+        if meta.get("preset") != config.preset:
+            raise UserError(f"{folder} was trained with preset {meta.get('preset')}, not {config.preset}")
         learner.load_arrays(arrays)
         learner.steps = meta["steps"]
+        learner.generator.manual_seed(config.seed + learner.steps)  # not the noise of the first part again
         level = arrays["curriculum.level"]
         if len(level) != len(curriculum.level):
             raise UserError(f"{folder} was trained with {len(level)} robots, not {len(curriculum.level)}")

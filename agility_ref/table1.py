@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from agility_ref.errors import UserError
-from agility_ref.evaluate import METRICS, Evaluation, EvaluationConfig, evaluate
+from agility_ref.evaluate import METRICS, Evaluation, EvaluationConfig, evaluate, evaluation_world
 from agility_ref.policies import ENVIRONMENTS, POLICIES, TABLE_ROWS, find_policy
 from agility_ref.runs import TrainConfig, load_policy, train_policy
 
@@ -57,6 +57,7 @@ def compute(
     on_cell: Callable[[str, str], None] = lambda environment, policy: None,
 ) -> tuple[Cells, list[str]]:
     """Evaluate every cell whose weights exist; return the cells and what is missing."""
+    evaluation_world(ENVIRONMENTS[0], config)  # a bad config is an error even where all weights are missing
     cells, missing = paper_cells(), []
     for environment in ENVIRONMENTS:
         for name in TABLE_ROWS:

@@ -280,7 +280,13 @@ def edge_map(heights: np.ndarray, axes: str = "xy") -> np.ndarray:
     ----------
     heights : (nx, ny) [m]
     axes : "xy", or "x" for the original, which looks along x only
+
+    Raises
+    ------
+    ValueError : axes is neither
     """
+    if axes not in ("xy", "x"):
+        raise ValueError(f"edges along {axes!r}; choose xy or x")
     edges = np.full(heights.shape, np.inf, np.float32)
     reach = int(np.floor(EDGE_DISTANCE / CELL + 0.5))  # cell centres within the distance
     for axis in range(len(axes)):

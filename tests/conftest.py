@@ -1,0 +1,53 @@
+"""Small fixtures shared by the suite: random policies, and a folder of finished runs."""
+
+import os
+
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import pytest
+
+from agility_ref import checkpoint
+from agility_ref.checkpoint import Policy
+from agility_ref.env import ACTION_DIM, OBS_DIM, SCANDOTS
+from agility_ref.ppo import Learner, PPOConfig
+
+SKILLS = ("walk", "climb-up", "climb-down", "leap", "beam")
+
+
+def random_arrays(seed=0, obs_dim=OBS_DIM, act_dim=ACTION_DIM, gain=1.0):
+    """Weights of an untrained network; gain > 1 makes it move more than a beginner's."""
+    fixed = SCANDOTS if obs_dim == OBS_DIM else slice(0, 0)
+    learner = Learner.create(obs_dim, act_dim, PPOConfig(hidden=(16,)), seed, fixed=fixed)
+    arrays = learner.arrays()
+    arrays["actor.2.weight"] *= gain
+    return arrays
+
+
+@pytest.fixture
+def make_policy():
+    """Return a function that makes a Policy with random weights."""
+
+    def make(seed=0, name="random", obs_dim=OBS_DIM, act_dim=ACTION_DIM, gain=1.0):
+        return Policy.from_arrays(random_arrays(seed, obs_dim, act_dim, gain), {"policy": name, "act_dim": act_dim})
+
+    return make
+
+
+@pytest.fixture
+def finished_run():
+    """Return a function that fakes a finished run: random weights and DONE."""
+
+    def make(root, name, seed=0, gain=100.0, obs_dim=OBS_DIM, act_dim=ACTION_DIM, steps=1000, preset="full", **meta):
+        folder = root / name / f"seed{seed}"
+        meta = {"policy": name, "preset": preset, "act_dim": act_dim, "obs_dim": obs_dim, "steps": steps, **meta}
+        checkpoint.save(folder / "policy.npz", random_arrays(sum(map(ord, name)), obs_dim, act_dim, gain), meta)
+        (folder / "DONE").write_text(f"{steps} steps\n")
+        return folder
+
+    return make
+
+
+@pytest.fixture
+def five_skills(make_policy):
+    """Five different random specialists, in the order of the oracle's labels."""
+    return {name: make_policy(k, name, gain=100.0) for k, name in enumerate(SKILLS)}

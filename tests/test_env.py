@@ -1,0 +1,640 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mujoco import batch
+
+from agility_ref.env import (
+    ACTION_DIM,
+    NUM_SCANDOTS,
+    OBS_DIM,
+    OBSERVATION,
+    SCANDOT_X,
+    SCANDOT_Y,
+    SCANDOTS,
+    EnvConfig,
+    Go1Env,
+    observation_slices,
+    rotation,
+    wrap,
+)
+from agility_ref.go1 import STAND_HEIGHT
+from agility_ref.terrain import COURSE_KINDS, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, World, make_course
+
+CLEAN = EnvConfig().clean()
+SLICES = observation_slices()
+
+
+def make_env(kind="gap", n=4, config=CLEAN, d=0.5, seed=0, **options):
+    world = World([make_course(kind, d, k) for k in range(2)])
+    return Go1Env(world, n, config, lambda ids, fraction: ids % 2, seed=seed, **options)
+
+
+def random_actions(steps, n, seed=0, scale=1.0):
+    return scale * np.random.default_rng(seed).standard_normal((steps, n, ACTION_DIM))
+
+
+def rollout(env, actions):
+    """Observations (T, N, 184), rewards, terminated, truncated, infos."""
+    return tuple(np.array(x) if k < 4 else x for k, x in enumerate(zip(*map(env.step, actions), strict=True)))
+
+
+def stand(env, ids, x, y, z=0.0, yaw=0.0):
+    """Put robots in the home pose, at rest, on a surface at height z."""
+    env._qpos[ids] = env._home
+    env._qpos[ids, 0], env._qpos[ids, 1], env._qpos[ids, 2] = x, y, z + STAND_HEIGHT
+    env._qpos[ids, 3], env._qpos[ids, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
+    env._qvel[ids] = 0.0
+
+
+def still(env):
+    return np.zeros((env.num_envs, ACTION_DIM))
+
+
+# --- contract, on every course --------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=COURSE_KINDS)
+def played(request):
+    """Forty random steps of four robots with all noise on."""
+    env = make_env(request.param, config=EnvConfig())
+    first, _ = env.reset(3)
+    return first, rollout(env, random_actions(40, 4))
+
+
+def test_shapes_and_types(played):
+    first, (obs, reward, terminated, truncated, infos) = played
+    assert first.shape == (4, OBS_DIM) and obs.shape == (40, 4, OBS_DIM)
+    assert first.dtype == obs.dtype == np.float32
+    assert reward.shape == terminated.shape == truncated.shape == (40, 4)
+    assert terminated.dtype == truncated.dtype == bool
+    assert infos[0]["final_observation"].shape == (4, OBS_DIM)
+    assert all(value.shape == (4,) for value in infos[0]["episode"].values())
+    assert infos[0]["feet_on_edge"].shape == (4,)
+
+
+def test_all_is_finite(played):
+    first, (obs, reward, *_) = played
+    assert np.isfinite(first).all() and np.isfinite(obs).all() and np.isfinite(reward).all()
+
+
+@pytest.mark.parametrize("kind", COURSE_KINDS)
+def test_no_observation_element_is_constant(kind):
+    # Without noise, which would hide a dead element.
+    obs, *_ = rollout(make_env(kind, n=6), random_actions(60, 6, scale=2.0))
+    constant = np.ptp(obs.reshape(-1, OBS_DIM), axis=0) == 0
+    assert not constant.any(), np.flatnonzero(constant)
+
+
+def test_observations_do_not_share_memory():
+    env = make_env(n=2)
+    a, _ = env.reset(0)
+    b, *_ = env.step(still(env))
+    kept = b.copy()
+    c, *_ = env.step(still(env))
+    assert not np.shares_memory(a, b) and not np.shares_memory(b, c)
+    np.testing.assert_array_equal(b, kept)
+    assert not any(np.shares_memory(b, getattr(env, name)) for name in ("base_lin_vel", "heading_error"))
+
+
+def test_infos_do_not_change_later():
+    env = make_env(n=2)
+    _, reward, _, _, info = env.step(still(env))
+    kept = {name: value.copy() for name, value in info["episode"].items()}, reward.copy()
+    for action in random_actions(5, 2):
+        env.step(action)
+    for name, value in kept[0].items():
+        np.testing.assert_array_equal(info["episode"][name], value)
+    np.testing.assert_array_equal(reward, kept[1])
+
+
+@pytest.mark.parametrize("kind", COURSE_KINDS)
+def test_same_seed_same_trajectory_at_any_thread_count(kind):
+    config = replace(EnvConfig(), episode_seconds=0.4, push_interval=0.2)  # resets and pushes included
+    actions = random_actions(30, 4)
+    a, b = (rollout(make_env(kind, config=config, seed=5, num_threads=k), actions) for k in (1, 2))
+    for x, y in zip(a[:4], b[:4], strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+def test_reset_with_a_seed_starts_over():
+    env, actions = make_env(config=EnvConfig()), random_actions(10, 4)
+    first_a, _ = env.reset(9)
+    a = rollout(env, actions)
+    first_b, _ = env.reset(9)
+    b = rollout(env, actions)
+    np.testing.assert_array_equal(first_a, first_b)
+    for x, y in zip(a[:4], b[:4], strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+def test_other_seed_other_start():
+    env = make_env()
+    a, _ = env.reset(1)
+    b, _ = env.reset(2)
+    assert (a != b).any(axis=1).all()
+
+
+@pytest.mark.parametrize("config", [EnvConfig(), CLEAN])
+def test_reward_is_the_sum_of_its_terms_exactly(config):
+    env = make_env(config=replace(config, clip_reward_at_zero=False))
+    for action in random_actions(50, 4):
+        _, reward, _, _, info = env.step(action)
+        np.testing.assert_array_equal(reward, sum(info["reward_terms"].values()))
+
+
+def test_clipped_reward_is_never_negative():
+    env = make_env(config=replace(CLEAN, clip_reward_at_zero=True))
+    for action in random_actions(20, 4, scale=4.0):
+        _, reward, _, _, info = env.step(action)
+        np.testing.assert_array_equal(reward, np.maximum(sum(info["reward_terms"].values()), 0.0))
+
+
+def test_models_of_a_world_have_equal_sizes():
+    env = Go1Env(World([make_course(kind, 0.5, 0) for kind in COURSE_KINDS]), 2)
+    assert len({(m.nq, m.nv, m.nu, m.ngeom, m.nbody, m.nsensordata) for m in env.models}) == 1
+
+
+def test_control_runs_at_50_hz():
+    assert EnvConfig().dt == pytest.approx(0.02)
+
+
+# --- action ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", [(4, 11), (3, 12), (12,), (4, 12, 1)])
+def test_wrong_action_shape_is_refused(shape):
+    with pytest.raises(ValueError, match="shape"):
+        make_env().step(np.zeros(shape))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_action_that_is_not_finite_is_refused(bad):
+    env = make_env()
+    action = still(env)
+    action[2, 5] = bad
+    with pytest.raises(ValueError, match="1 entries"):
+        env.step(action)
+
+
+def test_a_refused_action_changes_nothing():
+    a, b = make_env(), make_env()
+    with pytest.raises(ValueError):
+        a.step(np.full((4, ACTION_DIM), np.nan))
+    np.testing.assert_array_equal(a.step(still(a))[0], b.step(still(b))[0])
+
+
+def test_actions_are_clipped():
+    a, b = make_env(), make_env()
+    limit = CLEAN.action_limit
+    np.testing.assert_array_equal(
+        a.step(np.full((4, ACTION_DIM), 9 * limit))[0], b.step(np.full((4, ACTION_DIM), limit))[0]
+    )
+
+
+def test_the_robot_stands_on_a_zero_action():
+    env = make_env("walk")
+    for _ in range(100):
+        obs, _, terminated, _, _ = env.step(still(env))
+        assert not terminated.any()
+    assert obs[:, SLICES["foot_contact"]].all()
+    np.testing.assert_allclose(env.base_pos[:, 2], STAND_HEIGHT, atol=0.05)
+    np.testing.assert_allclose(obs[:, SLICES["projected_gravity"]], [[0.0, 0.0, -1.0]] * 4, atol=0.1)
+
+
+# --- observation -----------------------------------------------------------------------
+
+
+def test_slices_tile_the_observation():
+    assert OBS_DIM == 184
+    assert sorted(i for s in SLICES.values() for i in range(s.start, s.stop)) == list(range(OBS_DIM))
+    assert list(SLICES) == list(OBSERVATION)
+    assert SCANDOTS == SLICES["scandots"]
+
+
+def test_docstring_table_is_the_observation():
+    rows = [line.split()[:2] for line in Go1Env.__doc__.splitlines()]
+    table = {row[0]: int(row[1]) for row in rows if len(row) == 2 and row[0] in OBSERVATION}
+    assert table == {name: size for name, (size, _) in OBSERVATION.items()}
+
+
+def test_observation_after_a_teleport():
+    env = make_env()
+    stand(env, 0, 1.0, 0.0, yaw=0.3)
+    obs, *_ = env.step(still(env))
+    # waypoint 0 stands straight ahead at (2, 0): the heading error is minus the yaw
+    assert obs[0, SLICES["heading_error"]][0] == pytest.approx(-0.3, abs=0.02)
+    np.testing.assert_allclose(obs[0, SLICES["dof_pos"]], env._qpos[0, 7:] - env._home[7:], atol=1e-6)
+    assert obs[0, SLICES["command"]][0] == np.float32(env.command[0])
+
+
+def test_last_action_is_observed():
+    env = make_env()
+    action = random_actions(1, 4)[0]
+    obs, *_ = env.step(action)
+    np.testing.assert_array_equal(obs[:, SLICES["last_action"]], action.astype(np.float32))
+
+
+def test_velocity_is_in_the_trunks_frame():
+    env = make_env("walk")
+    stand(env, 0, 1.0, 0.0, z=0.3, yaw=np.pi / 2)
+    env._qvel[0, :2] = 0.0, 1.0  # along +y of the world, which is straight ahead
+    obs, *_ = env.step(still(env))
+    np.testing.assert_allclose(obs[0, SLICES["base_lin_vel"]][:2], [1.0, 0.0], atol=0.05)
+
+
+def test_rotation_against_mujoco():
+    import mujoco
+
+    quats = np.random.default_rng(0).standard_normal((5, 4))
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    for matrix, quat in zip(rotation(quats), quats, strict=True):
+        expected = np.zeros(9)
+        mujoco.mju_quat2Mat(expected, quat)
+        np.testing.assert_allclose(matrix, expected.reshape(3, 3), atol=1e-12)
+
+
+def test_wrap():
+    np.testing.assert_allclose(wrap(np.array([0.0, 3.0, 4.0, -4.0])), [0.0, 3.0, 4.0 - 2 * np.pi, 2 * np.pi - 4.0])
+
+
+@pytest.mark.parametrize("kind", COURSE_KINDS)
+def test_scandots_against_a_loop_over_boxes(kind):
+    env = make_env(kind, n=6, d=0.8)
+    rng = np.random.default_rng(1)
+    for robot in range(6):
+        stand(env, robot, rng.uniform(1.0, 17.0), rng.uniform(-1.5, 1.5), z=1.5, yaw=rng.uniform(-3, 3))
+    # The robots fall freely for one step; the last observation is of the pose they are in then.
+    poses = []
+    simulate = env._simulate
+
+    def note_pose():
+        failed = simulate()
+        poses.append(env._qpos.copy())
+        return failed
+
+    env._simulate = note_pose
+    *_, info = env.step(still(env))
+    observed = info["final_observation"][:, SCANDOTS].reshape(6, len(SCANDOT_X), len(SCANDOT_Y))
+    checked = 0
+    for robot in range(6):
+        x, y, z = poses[-1][robot, :3]
+        forward = rotation(poses[-1][robot : robot + 1, 3:7])[0][:, 0]
+        yaw = np.arctan2(forward[1], forward[0])
+        boxes = env.world.courses[robot % 2].boxes
+        for a, dx in enumerate(SCANDOT_X):
+            for b, dy in enumerate(SCANDOT_Y):
+                px = x + np.cos(yaw) * dx - np.sin(yaw) * dy
+                py = y + np.sin(yaw) * dx + np.cos(yaw) * dy
+                # beyond the lane the border goes on
+                px, py = (
+                    np.clip(px, 1e-3, LANE_LENGTH - 1e-3),
+                    np.clip(py, -LANE_WIDTH / 2 + 1e-3, LANE_WIDTH / 2 - 1e-3),
+                )
+                under = [o for o in boxes if o.x0 <= px <= o.x1 and o.y0 <= py <= o.y1]
+                if any(min(abs(px - o.x0), abs(px - o.x1), abs(py - o.y0), abs(py - o.y1)) < 2e-4 for o in under):
+                    continue  # on a border, rounding decides
+                ground = max(o.top for o in under)
+                assert observed[robot, a, b] == pytest.approx(np.clip(z - 0.3 - ground, -1, 1), abs=1e-5)
+                checked += 1
+    assert checked > 0.95 * 6 * NUM_SCANDOTS
+
+
+# --- noise -----------------------------------------------------------------------------
+
+
+def test_noise_does_not_depend_on_the_actions():
+    noisy = replace(CLEAN, noise=1.0)
+    difference = []
+    for seed in (1, 2):
+        actions = random_actions(15, 4, seed)
+        envs = [make_env(config=c, seed=3) for c in (noisy, CLEAN)]
+        if seed == 2:
+            for env in envs:
+                stand(env, 0, 1.0, 5.0)  # one robot falls and starts again
+        a, b = (rollout(env, actions)[4] for env in envs)
+        difference.append([x["final_observation"] - y["final_observation"] for x, y in zip(a, b, strict=True)])
+    np.testing.assert_allclose(difference[0], difference[1], atol=1e-4)
+    assert np.abs(difference[0]).max() > 0.1
+
+
+def test_noise_stays_within_its_amplitudes():
+    actions = random_actions(20, 4)
+    a, b = (rollout(make_env(config=c, seed=3), actions)[0] for c in (replace(CLEAN, noise=2.0), CLEAN))
+    for name, (_, amplitude) in OBSERVATION.items():
+        difference = np.abs(a - b)[:, :, SLICES[name]]
+        assert difference.max() <= 2 * amplitude + 1e-5, name
+        assert (difference > amplitude).any() == (amplitude > 0), name
+
+
+def test_starts_do_not_depend_on_the_actions():
+    config = replace(EnvConfig(), episode_seconds=0.2)
+    commands = []
+    for seed in (1, 2):
+        env = make_env("walk", config=config, seed=3)
+        rollout(env, random_actions(10, 4, seed, scale=0.3))  # ends in the reset after 10 steps
+        commands.append((env.command.copy(), env._qpos.copy()))
+    np.testing.assert_array_equal(commands[0][0], commands[1][0])
+    np.testing.assert_array_equal(commands[0][1], commands[1][1])
+
+
+def test_pushes_do_not_depend_on_the_actions():
+    config = replace(CLEAN, push_interval=0.1, push_velocity=20.0)  # far above what 20 ms of ground can undo
+    velocities = []
+    for seed in (1, 2):
+        env = make_env("walk", n=16, config=config, seed=3)
+        if seed == 2:
+            stand(env, 0, 1.0, 5.0)  # one robot falls and starts again: the others' pushes stay the same
+        pushed = np.zeros((16, 2))
+        for action in random_actions(5, 16, seed, scale=0.3):  # each robot's push is due in one of five steps
+            before = env._qvel[:, :2].copy()
+            env.step(action)
+            after = env._qvel[:, :2]
+            jumped = (np.abs(after - before).max(axis=1) > 4.0) & (pushed == 0).all(axis=1)
+            pushed[jumped] = after[jumped]
+        velocities.append(pushed[1:])
+    both = (velocities[0] != 0).any(axis=1) & (velocities[1] != 0).any(axis=1)
+    assert both.sum() > 8
+    np.testing.assert_allclose(velocities[0][both], velocities[1][both], atol=2.5)
+
+
+def test_clean_is_calm():
+    assert (CLEAN.noise, CLEAN.push_interval, CLEAN.payload_high) == (0.0, 0.0, 0.0)
+    assert CLEAN.friction_low == CLEAN.friction_high == 1.0
+    env = make_env("walk")
+    masses = [m.body_mass.sum() for m in env.models]
+    assert masses[0] == masses[1] == pytest.approx(12.743448)
+
+
+# --- episodes --------------------------------------------------------------------------
+
+
+def test_time_limit_truncates_and_resets_in_the_same_step():
+    env = make_env("walk", config=replace(CLEAN, episode_seconds=0.1))  # 5 steps
+    actions = random_actions(5, 4)
+    for k, action in enumerate(actions):
+        obs, _, terminated, truncated, info = env.step(action)
+        assert truncated.all() == (k == 4) and not terminated.any()
+    assert (info["episode"]["length"] == 5).all()
+    final = info["final_observation"]
+    np.testing.assert_array_equal(final[:, SLICES["last_action"]], actions[-1].astype(np.float32))
+    np.testing.assert_array_equal(obs[:, SLICES["last_action"]], 0.0)
+    assert np.abs(final[:, SLICES["dof_vel"]]).max() > 0.1
+    np.testing.assert_array_equal(obs[:, SLICES["dof_vel"]], 0.0)
+
+
+def test_final_observation_equals_the_observation_elsewhere():
+    env = make_env("walk", n=6, config=EnvConfig())
+    stand(env, 2, 1.0, 5.0)  # one robot beside the lane
+    obs, _, terminated, _, info = env.step(still(env))
+    np.testing.assert_array_equal(terminated, np.arange(6) == 2)
+    same = (obs == info["final_observation"]).all(axis=1)
+    np.testing.assert_array_equal(same, ~terminated)
+
+
+def test_action_repeat_keeps_the_time_limit():
+    # 0.4 s are 20 control steps, or 10 decisions of two steps each
+    env = make_env("walk", config=replace(CLEAN, episode_seconds=0.4, action_repeat=2))
+    for k in range(10):
+        _, _, _, truncated, _ = env.step(still(env))
+        assert truncated.all() == (k == 9)
+
+
+def test_episode_sums_are_those_of_the_steps():
+    env = make_env("walk", config=replace(CLEAN, episode_seconds=0.1))
+    total = np.zeros(4)
+    for action in random_actions(5, 4):
+        _, reward, _, _, info = env.step(action)
+        total += reward
+        np.testing.assert_allclose(info["episode"]["reward"], total, rtol=1e-12)
+    _, reward, _, _, info = env.step(still(env))  # a new episode
+    np.testing.assert_array_equal(info["episode"]["reward"], reward)
+    assert (info["episode"]["length"] == 1).all()
+
+
+@pytest.mark.parametrize("kind", COURSE_KINDS)
+def test_never_both_terminated_and_truncated(kind):
+    # Robots are thrown about at the very step their time runs out.
+    env = make_env(kind, n=16, config=replace(EnvConfig(), episode_seconds=0.3))
+    ended = np.zeros(2, int)
+    for k, action in enumerate(random_actions(60, 16, scale=3.0)):
+        if k % 5 == 4:
+            stand(env, k % 16, 1.0, 5.0)
+        _, _, terminated, truncated, _ = env.step(action)
+        assert not (terminated & truncated).any()
+        ended += terminated.sum(), truncated.sum()
+    assert (ended > 0).all()
+
+
+def test_reset_follows_next_course():
+    calls = []
+
+    def next_course(ids, fraction):
+        calls.append((ids.copy(), fraction))
+        return np.ones(len(ids), int)
+
+    world = World([make_course("walk", 0.0, 0), make_course("gap", 0.5, 0)])
+    env = Go1Env(world, 3, CLEAN, next_course)
+    assert calls[-1][1] is None and len(calls[-1][0]) == 3
+    stand(env, 1, 1.0, 5.0)
+    env.waypoint_index[1] = 2
+    env.step(still(env))
+    np.testing.assert_array_equal(calls[-1][0], [1])
+    np.testing.assert_allclose(calls[-1][1], [2 / NUM_WAYPOINTS])
+    assert (env.course == 1).all()
+
+
+# --- waypoints -------------------------------------------------------------------------
+
+
+def near_waypoint(env, offset=0.0):
+    """Put all robots at their current waypoint, ``offset`` [m] beside it; step once."""
+    index = np.minimum(env.waypoint_index, NUM_WAYPOINTS - 1)
+    waypoint = env.world.waypoints[env.course, index]
+    stand(env, slice(None), waypoint[:, 0], waypoint[:, 1] + offset, z=0.0)
+    return env.step(still(env))
+
+
+def test_waypoint_is_reached_after_a_tenth_of_a_second():
+    env = make_env("gap")
+    for expected in (0, 0, 0, 0, 1):  # 5 steps of 0.02 s
+        *_, info = near_waypoint(env)
+        assert (info["episode"]["waypoints"] == expected).all()
+
+
+@pytest.mark.parametrize("offset, reached", [(0.18, 1), (0.22, 0)])
+def test_waypoint_radius(offset, reached):
+    env = make_env("gap")
+    for _ in range(6):
+        *_, info = near_waypoint(env, offset)
+    assert (info["episode"]["waypoints"] == reached).all()
+
+
+def test_leaving_restarts_the_clock():
+    env = make_env("gap")
+    for offset in (0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0):
+        *_, info = near_waypoint(env, offset)
+    assert (info["episode"]["waypoints"] == 0).all()
+
+
+def test_last_waypoint_truncates():
+    env = make_env("gap")
+    env.waypoint_index[:] = NUM_WAYPOINTS - 1
+    for k in range(5):
+        _, _, terminated, truncated, info = near_waypoint(env)
+        assert truncated.all() == (k == 4) and not terminated.any()
+    assert (info["episode"]["waypoints"] == NUM_WAYPOINTS).all()
+    assert (env.waypoint_index == 0).all()  # reset in the same step
+
+
+def test_goal_turns_to_the_next_waypoint():
+    env = make_env("walk", d=0.0)
+    for _ in range(5):
+        obs, *_ = near_waypoint(env)
+    index = env.waypoint_index
+    assert (index == 1).all()
+    goal = env.world.waypoints[env.course, index] - env.base_pos[:, :2]
+    np.testing.assert_allclose(
+        obs[:, SLICES["heading_error"]][:, 0], wrap(np.arctan2(goal[:, 1], goal[:, 0]) - env.yaw), atol=1e-5
+    )
+
+
+# --- falling ---------------------------------------------------------------------------
+
+
+def test_falling_into_a_pit_terminates():
+    env = make_env("gap", n=1, d=1.0)
+    pit = env.world.courses[0].obstacles[0]
+    stand(env, 0, (pit.x0 + pit.x1) / 2, 0.0, z=-1.0)
+    assert env.step(still(env))[2].all()
+
+
+def test_leaping_over_a_pit_does_not():
+    env = make_env("gap", n=1, d=1.0)
+    pit = env.world.courses[0].obstacles[0]
+    stand(env, 0, (pit.x0 + pit.x1) / 2, 0.0, z=0.05)
+    assert not env.step(still(env))[2].any()
+
+
+@pytest.mark.parametrize("x, y", [(1.0, 2.1), (1.0, -2.1), (-0.1, 0.0)])
+def test_leaving_the_lane_terminates(x, y):
+    env = make_env("walk", n=1)
+    stand(env, 0, x, y)
+    assert env.step(still(env))[2].all()
+
+
+@pytest.mark.parametrize("tilt, fallen", [(1.2, False), (1.6, True)])
+def test_tipping_over_terminates(tilt, fallen):
+    env = make_env("walk", n=1)
+    stand(env, 0, 1.0, 0.0, z=0.3)
+    env._qpos[0, 3:7] = np.cos(tilt / 2), np.sin(tilt / 2), 0.0, 0.0  # rolled
+    assert env.step(still(env))[2].all() == fallen
+
+
+def beam_env():
+    env = make_env("beam", n=1, d=1.0)
+    beam = env.world.courses[0].obstacles[0]
+    top = next(b for b in env.world.courses[0].boxes if b.walkable and b.x0 == beam.x0)
+    return env, (beam.x0 + beam.x1) / 2, (top.y0 + top.y1) / 2
+
+
+def test_standing_beside_a_beam_terminates():
+    env, x, y = beam_env()
+    stand(env, 0, x, y + 0.6, z=-0.2)
+    assert env.step(still(env))[2].all()
+
+
+def test_standing_on_a_beam_does_not():
+    env, x, y = beam_env()
+    stand(env, 0, x, y)
+    assert not env.step(still(env))[2].any()
+
+
+def test_two_feet_at_beam_height_are_enough():
+    env, x, y = beam_env()
+    stand(env, 0, x, y + 0.127)  # right feet on the beam, left feet beside it ...
+    left = [10, 11, 12, 16, 17, 18]
+    env._qpos[0, left] = [0.0, 0.45, -0.89] * 2  # ... reaching 0.12 m below its top
+    assert not env.step(still(env))[2].any()
+    feet = env._foot_pos[0, :, 2]
+    assert (feet[[1, 3]] < -0.05).all() and (feet[[0, 2]] > 0.0).all()
+
+
+def test_failed_simulations_are_ended_and_counted():
+    env = make_env("walk")
+
+    class Failing:
+        """The batch, which reports robot 2 as failed after every step."""
+
+        def __init__(self, real):
+            self.real = real
+
+        def step(self, *args, **kwargs):
+            self.real.step(*args, **kwargs)
+            raise batch.SimulationError([2], "robot 2 failed")
+
+        def __getattr__(self, name):
+            return getattr(self.real, name)
+
+    env.batch = Failing(env.batch)
+    obs, _, terminated, _, _ = env.step(still(env))
+    np.testing.assert_array_equal(terminated, [False, False, True, False])
+    assert env.simulation_errors == 1
+    assert np.isfinite(obs).all()
+
+
+def test_diverged_simulations_are_ended_and_counted():
+    # MuJoCo puts a state that blows up back to the start of the model and only warns.
+    env = make_env("walk")
+    env._qvel[2, 8] = 1e12
+    obs, _, terminated, _, _ = env.step(still(env))
+    np.testing.assert_array_equal(terminated, [False, False, True, False])
+    assert env.simulation_errors == 1
+    assert np.isfinite(obs).all()
+    assert not env.step(still(env))[2].any()
+
+
+# --- edges and the oracle --------------------------------------------------------------
+
+
+def settle_feet_at(env, x, steps=10):
+    """Stand the front feet at x; return the feet counted on an edge after settling."""
+    stand(env, 0, x - 0.1881, 0.0)
+    for _ in range(steps):
+        *_, info = env.step(still(env))
+    return info["feet_on_edge"][0]
+
+
+def test_feet_on_an_edge_are_counted():
+    env = make_env("gap", n=1, d=1.0)
+    edge = env.world.courses[0].obstacles[0].x0
+    assert settle_feet_at(env, edge - 0.03) == 2
+    assert settle_feet_at(env, edge - 0.20) == 0
+
+
+def test_feet_in_the_air_violate_no_edge():
+    env = make_env("gap", n=1, d=1.0)
+    edge = env.world.courses[0].obstacles[0].x0
+    stand(env, 0, edge - 0.03 - 0.1881, 0.0, z=0.03)  # 3 cm above it
+    *_, info = env.step(still(env))
+    assert not info["final_observation"][0, SLICES["foot_contact"]].any()
+    assert info["feet_on_edge"][0] == 0
+
+
+def test_feet_below_an_edge_do_not_violate_it():
+    env = make_env("climb-up", n=1, d=1.0)
+    riser = env.world.courses[0].obstacles[0].x0
+    assert settle_feet_at(env, riser - 0.03) == 0  # the edge is 0.45 m above these feet
+    assert env.foot_contact[0].all()
+
+
+@pytest.mark.parametrize("kind, skill", [
+    ("gap", "leap"), ("beam", "beam"), ("climb-up", "climb-up"), ("climb-down", "climb-down"), ("walk", "walk"),
+])  # fmt: skip
+def test_oracle_names_the_skill_under_the_robot(kind, skill):
+    env = make_env(kind)
+    obstacles = env.world.courses[0].obstacles
+    env._qpos[:, 0] = obstacles[0].x0 if obstacles else 5.0
+    assert SKILLS[env.oracle_skill()[0]] == skill
+    env._qpos[:, 0] = 1.0
+    assert SKILLS[env.oracle_skill()[0]] == "walk"

@@ -1,0 +1,243 @@
+import json
+
+import numpy as np
+import pytest
+
+from agility_ref.env import EnvConfig
+from agility_ref.errors import UserError
+from agility_ref.evaluate import (
+    METRICS,
+    EvaluationConfig,
+    edge_violation,
+    episode_length,
+    evaluate,
+    evaluation_env,
+    evaluation_world,
+    reward_metric,
+    waypoint_fraction,
+)
+from agility_ref.policies import ENVIRONMENTS
+from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
+from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS
+
+SHORT = EnvConfig(episode_seconds=0.6)  # 30 steps
+FEW = EvaluationConfig(episodes=3, seed=1)
+
+# --- metrics, by hand ------------------------------------------------------------------
+# Five steps of two episodes.  The first lasts all five, the second ends with step 3 of 5;
+# what its robot does after the reset must not count.
+
+ALIVE = np.array([[1, 1], [1, 1], [1, 1], [1, 0], [1, 0]], bool)
+REWARD = np.array([[1.0, 0.5], [2.0, 0.5], [-1.0, -3.0], [0.5, 100.0], [0.5, 100.0]])
+WAYPOINTS = np.array([[0, 0], [1, 0], [1, 2], [2, 7], [4, 7]])
+EDGE = np.array([[0, 4], [1, 1], [2, 1], [0, 4], [0, 4]])
+
+
+def test_reward_by_hand():
+    # 1 + 2 - 1 + 0.5 + 0.5 = 3;  0.5 + 0.5 - 3 = -2
+    np.testing.assert_allclose(reward_metric(REWARD, ALIVE), [3.0, -2.0])
+
+
+def test_episode_length_by_hand():
+    np.testing.assert_array_equal(episode_length(ALIVE), [5, 3])
+
+
+def test_waypoint_fraction_by_hand():
+    # 4 of 8, 2 of 8
+    np.testing.assert_allclose(waypoint_fraction(WAYPOINTS, ALIVE), [0.5, 0.25])
+
+
+def test_edge_violation_by_hand():
+    # (0 + 1 + 2 + 0 + 0) / 5 = 0.6;  (4 + 1 + 1) / 3 = 2
+    np.testing.assert_allclose(edge_violation(EDGE, ALIVE), [0.6, 2.0])
+
+
+# --- courses ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("environment", COURSE_KINDS)
+def test_one_course_an_episode(environment):
+    world = evaluation_world(environment, FEW)
+    assert len(world) == 3 and set(world.kinds) == {environment}
+    assert len({c.boxes for c in world.courses}) == 3
+
+
+@pytest.mark.parametrize("preset, highest", [("quick", 0.4), ("full", 1.0)])
+def test_difficulties_are_drawn_from_the_presets_range(preset, highest):
+    d = evaluation_world("gap", EvaluationConfig(episodes=40, preset=preset)).difficulties
+    assert d.min() >= 0 and 0.8 * highest < d.max() <= highest
+
+
+def test_difficulty_can_be_fixed():
+    assert (evaluation_world("gap", EvaluationConfig(episodes=3, difficulty=0.3)).difficulties == 0.3).all()
+
+
+def test_seeds_change_the_courses():
+    a, b = (evaluation_world("gap", EvaluationConfig(episodes=2, seed=s)).courses[0] for s in (0, 1))
+    assert a.boxes != b.boxes
+
+
+def test_more_episodes_keep_the_first_courses():
+    a, b = (evaluation_world("gap", EvaluationConfig(episodes=n)) for n in (2, 4))
+    assert [c.boxes for c in a.courses] == [c.boxes for c in b.courses[:2]]
+
+
+@pytest.mark.parametrize("environment, config, message", [
+    ("beams", FEW, "unknown environment 'beams': did you mean beam"),
+    ("gap", EvaluationConfig(preset="ful"), "unknown preset"),
+    ("gap", EvaluationConfig(episodes=0), "episodes"),
+    ("gap", EvaluationConfig(difficulty=1.5), "difficulty"),
+])  # fmt: skip
+def test_bad_input_is_refused(environment, config, message):
+    with pytest.raises(UserError, match=message):
+        evaluation_world(environment, config)
+
+
+def test_clean_turns_noise_and_pushes_off():
+    env = evaluation_env("gap", EvaluationConfig(episodes=2, clean=True))
+    assert env.config == EnvConfig().clean()
+
+
+# --- evaluation ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def single(make_policy):
+    return Single("random", make_policy(0, gain=100.0))
+
+
+def arrays(evaluation):
+    return {name: getattr(evaluation, name) for name in (*METRICS, "fell", "difficulty")}
+
+
+def test_evaluation_has_one_number_an_episode(single):
+    evaluation = evaluate(single, "gap", FEW, SHORT)
+    assert all(values.shape == (3,) for values in arrays(evaluation).values())
+    assert evaluation.skill is None and evaluation.oracle is None
+    assert (evaluation.episode_length >= 1).all() and (evaluation.episode_length <= 30).all()
+    assert ((evaluation.edge_violation >= 0) & (evaluation.edge_violation <= 4)).all()
+
+
+@pytest.mark.parametrize("environment", ENVIRONMENTS)
+def test_same_evaluation_twice_is_identical(single, environment):
+    a, b = (arrays(evaluate(single, environment, FEW, SHORT)) for _ in range(2))
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+def test_policies_meet_the_same_courses_and_commands(make_policy):
+    starts = []
+
+    class Noting(Single):
+        """Writes down the first observation and the commands of every step."""
+
+        def act(self, observation, env):
+            starts.append((observation.copy(), env.command.copy(), env.world))
+            return super().act(observation, env)
+
+    for seed in (0, 1):
+        evaluate(Noting("noting", make_policy(seed, gain=100.0)), "gap", FEW, EnvConfig(episode_seconds=0.02))
+    (obs_a, command_a, world_a), (obs_b, command_b, world_b) = starts
+    np.testing.assert_array_equal(obs_a, obs_b)
+    np.testing.assert_array_equal(command_a, command_b)
+    assert world_a.courses == world_b.courses or world_a is world_b
+
+
+def test_episodes_are_complete(single):
+    evaluation = evaluate(single, "walk", FEW, SHORT)
+    np.testing.assert_array_equal(evaluation.episode_length[~evaluation.fell], 30)
+
+
+def test_falls_are_told_from_time_outs(make_policy):
+    class Jump(Single):
+        """Leaves the lane in the third step, on the first course only."""
+
+        def act(self, observation, env):
+            self.step = getattr(self, "step", 0) + 1
+            if self.step == 3:
+                env._qpos[0, 1] = 5.0
+            return np.zeros((len(observation), 12)), None
+
+    evaluation = evaluate(Jump("jump", make_policy()), "walk", FEW, SHORT)
+    np.testing.assert_array_equal(evaluation.fell, [True, False, False])
+    np.testing.assert_array_equal(evaluation.episode_length, [3, 30, 30])
+
+
+def test_what_happens_after_the_first_episode_does_not_count(make_policy):
+    class Finish(Single):
+        """Reaches the last waypoint in step 2 on the first course, and leaves the lane in step 5."""
+
+        def act(self, observation, env):
+            self.step = getattr(self, "step", 0) + 1
+            if self.step == 2:
+                env.waypoint_index[0] = NUM_WAYPOINTS
+            if self.step == 5:
+                env._qpos[0, 1] = 5.0
+            return np.zeros((len(observation), 12)), None
+
+    evaluation = evaluate(Finish("finish", make_policy()), "walk", FEW, SHORT)
+    assert not evaluation.fell.any()
+    np.testing.assert_array_equal(evaluation.episode_length, [2, 30, 30])
+    np.testing.assert_array_equal(evaluation.waypoint_fraction, [1.0, 0.0, 0.0])
+
+
+def test_reward_is_that_of_the_first_episode_only(make_policy):
+    # The environment's own sum of the episode agrees with the metric.
+    sums = {}
+
+    class Noting(Single):
+        """Keeps the environment's episode sums as they were before this step."""
+
+        def act(self, observation, env):
+            sums[len(sums)] = env._episode_reward.copy()
+            return super().act(observation, env)
+
+    evaluation = evaluate(Noting("noting", make_policy()), "walk", FEW, SHORT)
+    assert not evaluation.fell.any()
+    before_last = sums[29]
+    assert (np.abs(evaluation.reward - before_last) < 0.2).all() and (evaluation.reward != before_last).all()
+
+
+def test_summary_is_json_ready(single):
+    summary = evaluate(single, "gap", FEW, SHORT).summary()
+    back = json.loads(json.dumps(summary))
+    assert back == summary
+    assert set(METRICS) <= set(back)
+    assert back["policy"] == "random" and back["environment"] == "gap" and back["episodes"] == 3
+
+
+def test_summary_is_mean_and_std(single):
+    evaluation = evaluate(single, "gap", FEW, SHORT)
+    summary = evaluation.summary()
+    for metric in METRICS:
+        values = getattr(evaluation, metric)
+        assert summary[metric]["mean"] == pytest.approx(sum(values) / 3)
+        assert summary[metric]["std"] == pytest.approx((sum((values - sum(values) / 3) ** 2) / 3) ** 0.5)
+
+
+# --- hierarchies -----------------------------------------------------------------------
+
+
+def test_oracle_agrees_with_itself(five_skills):
+    evaluation = evaluate(oracle_hierarchy("oracle", five_skills), "gap", FEW, SHORT)
+    alive = evaluation.skill >= 0
+    assert alive.any()
+    assert (evaluation.skill == evaluation.oracle)[alive].mean() == 1.0
+
+
+def test_skills_are_recorded_until_the_end(five_skills):
+    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3))
+    evaluation = evaluate(hierarchy, "gap", FEW, SHORT)
+    assert evaluation.skill.shape == evaluation.oracle.shape
+    np.testing.assert_array_equal((evaluation.skill == 3).sum(axis=0), evaluation.episode_length)
+    np.testing.assert_array_equal(
+        (evaluation.skill == -1).sum(axis=0), len(evaluation.skill) - evaluation.episode_length
+    )
+
+
+def test_always_one_skill_evaluates_as_that_skill(five_skills):
+    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3))
+    a = arrays(evaluate(hierarchy, "gap", FEW, SHORT))
+    b = arrays(evaluate(Single("leap", five_skills["leap"]), "gap", FEW, SHORT))
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)

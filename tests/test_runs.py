@@ -1,0 +1,288 @@
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agility_ref import checkpoint, runs
+from agility_ref.curriculum import CurriculumConfig
+from agility_ref.env import ACTION_DIM, NUM_SCANDOTS, OBS_DIM
+from agility_ref.errors import UserError
+from agility_ref.ppo import PPOConfig
+from agility_ref.runs import TrainConfig, load_policy, run_folder, train_policy, weights_path
+from agility_ref.selector import Hierarchy, Single, SupervisedConfig
+
+BATCH = 4 * 8
+TINY = PPOConfig(num_envs=4, num_steps=8, hidden=(8,), update_epochs=1, num_minibatches=1)
+
+
+@pytest.fixture
+def drawing():
+    """Ask for this to have learning curves drawn, which takes longer than the tiny runs."""
+
+
+@pytest.fixture(autouse=True)
+def quick_and_alone(monkeypatch, tmp_path, request):
+    """Tests find their own runs only, and draw no figures unless they ask to."""
+    monkeypatch.setattr(runs.weights, "shipped", lambda *key: None)
+    if "drawing" not in request.fixturenames:
+        monkeypatch.setattr("agility_ref.plots.learning_curve", lambda *args: None)
+
+
+@pytest.fixture
+def config(tmp_path):
+    return TrainConfig(
+        preset="quick", out=str(tmp_path), steps=3 * BATCH, ppo=TINY,
+        curriculum=CurriculumConfig(num_levels=2, variants=1), supervised=SupervisedConfig(epochs=2, hidden=(8,)),
+    )  # fmt: skip
+
+
+def progress(folder):
+    with open(folder / "progress.csv", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def steps_of(folder):
+    return [int(row["steps"]) for row in progress(folder)]
+
+
+# --- a run -----------------------------------------------------------------------------
+
+
+def test_a_run_writes_its_files(config, tmp_path, drawing):
+    folder = train_policy("walk", config, quiet=True)
+    assert folder == tmp_path / "walk" / "seed0"
+    written = {p.name for p in folder.iterdir()}
+    assert {"DONE", "config.json", "learning_curve.png", "policy.npz", "progress.csv"} <= written
+    assert (folder / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
+    assert not list(tmp_path.rglob("*.partial"))
+
+
+def test_progress_has_a_row_an_iteration(config):
+    folder = train_policy("walk", config, quiet=True)
+    assert steps_of(folder) == [BATCH, 2 * BATCH, 3 * BATCH]
+    assert list(progress(folder)[0]) == list(runs.PROGRESS)
+
+
+def test_config_is_recorded(config):
+    record = json.loads((train_policy("walk", config, quiet=True) / "config.json").read_text())
+    assert record["policy"] == "walk"
+    assert record["ppo"]["num_envs"] == 4 and record["preset"] == "quick" and record["steps"] == 3 * BATCH
+
+
+def test_checkpoint_holds_what_training_needs(config):
+    arrays, meta = checkpoint.load(train_policy("walk", config, quiet=True) / "policy.npz")
+    assert meta["policy"] == "walk" and meta["steps"] == 3 * BATCH and meta["seed"] == 0
+    assert {"python", "numpy", "mujoco"} <= set(meta["versions"])
+    assert arrays["normalizer.count"] == 3 * BATCH
+    assert "optimizer.actor.0.weight.exp_avg" in arrays and "curriculum.level" in arrays
+
+
+def test_same_seed_same_run(config, tmp_path):
+    a, b = (train_policy("walk", replace(config, out=str(tmp_path / x)), quiet=True) for x in "ab")
+    first, second = (checkpoint.load(folder / "policy.npz")[0] for folder in (a, b))
+    for name in first:
+        np.testing.assert_array_equal(first[name], second[name], err_msg=name)
+
+
+def test_a_long_run_of_short_iterations(config, drawing):
+    # The learning curve is redrawn along the way, before the first periodic checkpoint.
+    tiny = PPOConfig(num_envs=1, num_steps=2, hidden=(4,), update_epochs=1, num_minibatches=1)
+    folder = train_policy("walk", replace(config, ppo=tiny, steps=2 * 120), quiet=True)
+    assert len(steps_of(folder)) == 120
+
+
+# --- stopping and going on -------------------------------------------------------------
+
+
+def test_a_finished_run_is_not_overwritten(config):
+    folder = train_policy("walk", config, quiet=True)
+    before = (folder / "policy.npz").read_bytes()
+    with pytest.raises(UserError, match=r"finished run.*--overwrite"):
+        train_policy("walk", config, quiet=True)
+    assert (folder / "policy.npz").read_bytes() == before
+
+
+def test_overwrite_starts_over(config):
+    train_policy("walk", config, quiet=True)
+    folder = train_policy("walk", replace(config, steps=BATCH, overwrite=True), quiet=True)
+    assert steps_of(folder) == [BATCH]
+
+
+def test_a_stopped_run_goes_on(config):
+    folder = train_policy("walk", config, quiet=True)
+    first = progress(folder)
+    (folder / "DONE").unlink()
+    train_policy("walk", replace(config, steps=5 * BATCH), quiet=True)
+    assert progress(folder)[:3] == first
+    assert steps_of(folder) == [k * BATCH for k in (1, 2, 3, 4, 5)]
+    wall = [float(row["wall_seconds"]) for row in progress(folder)]
+    assert wall == sorted(wall)
+    arrays, meta = checkpoint.load(folder / "policy.npz")
+    assert meta["steps"] == 5 * BATCH and arrays["normalizer.count"] == 5 * BATCH
+    assert (folder / "DONE").exists()
+
+
+def test_rows_beyond_the_checkpoint_are_dropped(config):
+    # Killed between progress.csv and policy.npz: the next run repeats what the weights lack.
+    folder = train_policy("walk", config, quiet=True)
+    (folder / "DONE").unlink()
+    rows = progress(folder)
+    with open(folder / "progress.csv", "a", newline="") as file:
+        csv.DictWriter(file, list(rows[0])).writerow(rows[-1] | {"steps": 4 * BATCH})
+    train_policy("walk", replace(config, steps=5 * BATCH), quiet=True)
+    assert steps_of(folder) == [k * BATCH for k in (1, 2, 3, 4, 5)]
+
+
+def test_interrupt_saves_and_leaves_no_done(config, monkeypatch):
+    monkeypatch.setattr(
+        runs._StopRequest, "requested", lambda self: True if self.asked else setattr(self, "asked", True)
+    )
+    folder = run_folder(config.root, "walk", 0)
+    with pytest.raises(KeyboardInterrupt, match="goes on"):
+        train_policy("walk", config, quiet=True)
+    assert steps_of(folder) == [BATCH]
+    assert not (folder / "DONE").exists()
+    monkeypatch.undo()
+    monkeypatch.setattr(runs.weights, "shipped", lambda *key: None)
+    train_policy("walk", config, quiet=True)
+    assert steps_of(folder) == [BATCH, 2 * BATCH, 3 * BATCH]
+
+
+def test_resuming_with_another_network_is_refused(config):
+    folder = train_policy("walk", config, quiet=True)
+    (folder / "DONE").unlink()
+    with pytest.raises(UserError):
+        train_policy("walk", replace(config, steps=5 * BATCH, ppo=replace(TINY, hidden=(6,))), quiet=True)
+
+
+def test_resuming_with_another_number_of_robots(config):
+    # Going on with it and refusing are both fine; a traceback is not.
+    folder = train_policy("walk", config, quiet=True)
+    (folder / "DONE").unlink()
+    try:
+        train_policy("walk", replace(config, steps=5 * BATCH, ppo=replace(TINY, num_envs=6)), quiet=True)
+    except UserError:
+        return
+    assert (folder / "DONE").exists()
+
+
+# --- warm starts and needs -------------------------------------------------------------
+
+
+def test_warm_start_is_counted_and_copied(config, tmp_path):
+    walk = train_policy("walk", config, quiet=True)
+    folder = train_policy("climb", replace(config, steps=5 * BATCH), quiet=True)
+    assert steps_of(folder) == [4 * BATCH, 5 * BATCH]
+    count = checkpoint.load(folder / "policy.npz")[0]["normalizer.count"]
+    assert count == 5 * BATCH == checkpoint.load(walk / "policy.npz")[0]["normalizer.count"] + 2 * BATCH
+
+
+def test_what_is_needed_is_trained_first(config, tmp_path, monkeypatch):
+    from agility_ref import policies
+
+    budgets = {name: replace(spec, budget=(4 * BATCH, 4 * BATCH)) for name, spec in policies.POLICIES.items()}
+    budgets["walk"] = replace(budgets["walk"], budget=(2 * BATCH, 2 * BATCH))
+    monkeypatch.setattr(policies, "POLICIES", budgets)
+    train_policy("climb", replace(config, steps=0), quiet=True)
+    assert (tmp_path / "walk" / "seed0" / "DONE").exists()
+    assert steps_of(tmp_path / "climb" / "seed0") == [3 * BATCH, 4 * BATCH]
+
+
+def test_from_scratch_needs_nothing(config, tmp_path):
+    folder = train_policy("climb", replace(config, warm_start=False), quiet=True)
+    assert steps_of(folder)[0] == BATCH
+    assert not (tmp_path / "walk").exists()
+
+
+def test_fewer_steps_than_the_warm_start_is_refused(config):
+    train_policy("walk", config, quiet=True)
+    with pytest.raises(UserError):
+        train_policy("climb", replace(config, steps=2 * BATCH), quiet=True)
+
+
+def test_oracle_needs_no_training(config):
+    with pytest.raises(UserError, match="oracle needs no training"):
+        train_policy("oracle", config, quiet=True)
+
+
+@pytest.mark.parametrize("name", ["ps-rl-3-env", "ps-rl-3-oracle"])
+def test_ppo_selector_run(config, tmp_path, finished_run, name):
+    for skill in ("walk", "climb", "leap"):
+        finished_run(tmp_path, skill)
+    folder = train_policy(name, config, quiet=True)
+    policy = load_policy(name, config)
+    assert (folder / "DONE").exists() and isinstance(policy, Hierarchy)
+    assert checkpoint.load(folder / "policy.npz")[0]["actor.2.bias"].shape == (3,)
+
+
+def test_supervised_selector_run(config, tmp_path, finished_run):
+    for skill in ("walk", "climb-up", "climb-down", "leap", "beam"):
+        finished_run(tmp_path, skill)
+    folder = train_policy("ps-sl-5", config, quiet=True)
+    assert (folder / "DONE").exists()
+    rounds = config.supervised.dagger_rounds + 1
+    assert len(progress(folder)) == rounds * config.supervised.epochs
+    arrays, meta = checkpoint.load(folder / "policy.npz")
+    assert arrays["actor.0.weight"].shape[1] == NUM_SCANDOTS and meta["act_dim"] == 5
+    hierarchy = load_policy("ps-sl-5", config)
+    assert isinstance(hierarchy, Hierarchy)
+    assert hierarchy.act(np.zeros((2, OBS_DIM), np.float32), None)[0].shape == (2, ACTION_DIM)
+
+
+# --- finding weights -------------------------------------------------------------------
+
+
+def test_own_runs_come_before_shipped_weights(config, tmp_path, finished_run, monkeypatch):
+    shipped = tmp_path / "shipped.npz"
+    shipped.touch()
+    monkeypatch.setattr(runs.weights, "shipped", lambda *key: shipped)
+    assert weights_path("walk", config) == shipped
+    folder = finished_run(tmp_path, "walk")
+    assert weights_path("walk", config) == folder / "policy.npz"
+
+
+def test_unfinished_runs_are_not_used(config, tmp_path, finished_run):
+    (finished_run(tmp_path, "walk") / "DONE").unlink()
+    with pytest.raises(UserError, match="agility-ref train walk --preset quick --seed 0"):
+        weights_path("walk", config)
+
+
+def test_load_policy_single(config, tmp_path, finished_run):
+    finished_run(tmp_path, "walk")
+    policy = load_policy("walk", config)
+    assert isinstance(policy, Single)
+    assert policy.act(np.zeros((2, OBS_DIM), np.float32), None)[0].shape == (2, ACTION_DIM)
+
+
+def test_aliases_share_a_folder(tmp_path):
+    assert run_folder(tmp_path, "ps-rl-3", 2).name == "seed2"
+    assert run_folder(tmp_path, "ps-rl-3", 2).parent.name.startswith("ps-rl-3-")
+
+
+def test_a_policy_of_another_shape_is_refused(config, tmp_path, finished_run):
+    finished_run(tmp_path, "walk", obs_dim=48)
+    with pytest.raises(UserError, match="48 -> 12"):
+        load_policy("walk", config)
+
+
+def test_a_skill_of_another_shape_is_refused(config, tmp_path, finished_run):
+    for skill in ("walk", "climb-up", "climb-down", "leap"):
+        finished_run(tmp_path, skill)
+    finished_run(tmp_path, "beam", obs_dim=48)
+    with pytest.raises(UserError, match="48 -> 12"):
+        load_policy("oracle", config)
+
+
+def test_a_selector_over_other_skills_is_refused(config, tmp_path, finished_run):
+    for skill in ("walk", "climb", "leap"):
+        finished_run(tmp_path, skill)
+    finished_run(tmp_path, "ps-rl-3-oracle", act_dim=5)
+    with pytest.raises(UserError, match=r"-> 5.*-> 3"):
+        load_policy("ps-rl-3", config)
+
+
+def test_default_root_follows_the_preset():
+    assert TrainConfig(preset="quick").root.as_posix() == "runs/quick"
+    assert TrainConfig(out="elsewhere").root.as_posix() == "elsewhere"

@@ -1,0 +1,66 @@
+import json
+
+import pytest
+
+from agility_ref import checkpoint, weights
+from agility_ref.checkpoint import Policy
+from agility_ref.errors import UserError
+
+
+@pytest.fixture
+def run(finished_run, tmp_path):
+    """A finished run with a progress.csv of 100 rows."""
+    folder = finished_run(
+        tmp_path / "runs",
+        "walk",
+        seed=3,
+        wall_seconds=1.0,
+        courses=["walk"],
+        versions={"numpy": "2"},
+        **{"preset": "quick"},
+    )
+    arrays, meta = checkpoint.load(folder / "policy.npz")
+    checkpoint.save(folder / "policy.npz", arrays | {"optimizer.rate": arrays["log_std"]}, meta | {"seed": 3})
+    (folder / "progress.csv").write_text("steps,reward\n" + "".join(f"{k},{k / 2}\n" for k in range(100)))
+    return folder
+
+
+def test_shipping_keeps_the_policy_and_drops_the_optimiser(run, tmp_path):
+    path = weights.ship(run, tmp_path)
+    assert path.name == "walk-quick-seed3.npz"
+    arrays, _ = checkpoint.load(path)
+    assert not any(name.startswith("optimizer.") for name in arrays)
+    before, after = Policy.load(run / "policy.npz"), Policy.load(path)
+    assert all((a[0] == b[0]).all() for a, b in zip(before.layers, after.layers, strict=True))
+    assert weights.shipped("quick", "walk", 3, tmp_path) == path
+    assert weights.shipped("quick", "walk", 0, tmp_path) is None
+
+
+def test_the_manifest_keeps_digest_record_and_a_short_curve(run, tmp_path):
+    path = weights.ship(run, tmp_path)
+    entry = json.loads((tmp_path / "manifest.json").read_text())[path.name]
+    assert entry["sha256"] == checkpoint.sha256(path)
+    assert (entry["policy"], entry["seed"], entry["steps"]) == ("walk", 3, 1000)
+    assert 0 < len(entry["curve"]) <= 2 * weights.CURVE_POINTS
+
+
+def test_weights_that_differ_from_the_manifest_are_refused_by_name(run, tmp_path):
+    path = weights.ship(run, tmp_path)
+    path.write_bytes(path.read_bytes() + b"x")
+    with pytest.raises(UserError, match=r"walk-quick-seed3\.npz"):
+        weights.shipped("quick", "walk", 3, tmp_path)
+
+
+def test_an_unfinished_run_is_not_shipped(run, tmp_path):
+    (run / "DONE").unlink()
+    with pytest.raises(UserError, match="finished"):
+        weights.ship(run, tmp_path)
+
+
+def test_what_the_package_ships_is_what_its_manifest_records():
+    files = {path.name for path in weights.FOLDER.glob("*.npz")}
+    entries = weights.manifest()
+    assert files == set(entries)
+    for name in files:
+        assert checkpoint.sha256(weights.FOLDER / name) == entries[name]["sha256"]
+    assert sum((weights.FOLDER / name).stat().st_size for name in files) <= 15e6
