@@ -11,12 +11,8 @@ Out: the folder, and the policies found in such folders or among the shipped wei
 
 import csv
 import json
-import os
 import shutil
-import signal
-import sys
 import time
-from collections import deque
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -29,6 +25,7 @@ from agility_ref.env import ACTION_DIM, NUM_SCANDOTS, OBS_DIM, SCANDOTS, EnvConf
 from agility_ref.errors import UserError
 from agility_ref.policies import PolicySpec, find_policy, find_preset, requirements
 from agility_ref.ppo import Learner, PPOConfig, train
+from agility_ref.progress import ProgressLog, StopRequest, write_csv, write_text
 from agility_ref.selector import (
     Hierarchy,
     SelectorEnv,
@@ -39,11 +36,6 @@ from agility_ref.selector import (
     oracle_hierarchy,
     selector_hierarchy,
 )
-
-PROGRESS = (
-    "steps", "wall_seconds", "steps_per_second", "reward", "episode_length", "waypoint_fraction",
-    "edge_violation", "level", "std", "learning_rate", "kl", "clip_fraction", "policy_loss", "value_loss", "entropy",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -163,18 +155,12 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
         except UserError:
             train_policy(other, replace(config, steps=0, overwrite=False), quiet)
     folder.mkdir(parents=True, exist_ok=True)
-    _write_text(folder / "config.json", json.dumps({"policy": spec.name, **asdict(config)}, indent=1))
+    write_text(folder / "config.json", json.dumps({"policy": spec.name, **asdict(config)}, indent=1))
     if spec.method == "supervised":
         _train_supervised(spec, config, folder, quiet)
     else:
         _train_ppo(spec, config, folder, quiet)
     return folder
-
-
-def _write_text(path: Path, text: str) -> None:
-    partial = path.with_suffix(".partial")
-    partial.write_text(text)
-    os.replace(partial, path)
 
 
 def _make_env(spec: PolicySpec, config: TrainConfig) -> tuple[Go1Env, Curriculum]:
@@ -204,8 +190,8 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     rows = _resume_or_warm_start(spec, config, folder, learner, curriculum)
     if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
-    log = _ProgressLog(spec.name, folder, rows, total, quiet)
-    stop = _StopRequest()
+    log = ProgressLog(spec.name, folder, rows, total, quiet)
+    stop = StopRequest()
     last_save, start = time.monotonic(), time.monotonic() - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
 
     def save() -> None:
@@ -232,7 +218,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     if learner.steps < total:
         raise KeyboardInterrupt(f"stopped at {learner.steps} of {total} steps; the same command goes on from {folder}")
     learning_curve(folder / "progress.csv", folder / "learning_curve.png", spec.name)
-    _write_text(folder / "DONE", f"{learner.steps} steps\n")
+    write_text(folder / "DONE", f"{learner.steps} steps\n")
 
 
 def _resume_or_warm_start(
@@ -284,84 +270,6 @@ def _train_supervised(spec: PolicySpec, config: TrainConfig, folder: Path, quiet
         rows += [{"round": k, "states": len(labels), "epoch": e, "cross_entropy": v} for e, v in enumerate(losses)]
         if not quiet:
             print(f"{spec.name}: round {k}, {len(labels)} states, cross-entropy {losses[-1]:.4f}")
-    _write_csv(folder / "progress.csv", rows)
+    write_csv(folder / "progress.csv", rows)
     checkpoint.save(folder / "policy.npz", arrays, meta)
-    _write_text(folder / "DONE", f"{len(labels)} states\n")
-
-
-def _write_csv(path: Path, rows: list[dict]) -> None:
-    partial = path.with_suffix(".partial")
-    with open(partial, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    os.replace(partial, path)
-
-
-class _ProgressLog:
-    """The progress bar and progress.csv of one run; averages over the last 200 episodes."""
-
-    def __init__(self, name: str, folder: Path, rows: list[dict], total: int, quiet: bool):
-        from tqdm import tqdm
-
-        self.path, self.rows, self.episodes = folder / "progress.csv", rows, deque(maxlen=200)
-        done = int(rows[-1]["steps"]) if rows else 0
-        self.bar = tqdm(
-            total=total,
-            initial=done,
-            desc=name,
-            unit="step",
-            unit_scale=True,
-            disable=quiet,
-            mininterval=0.5 if sys.stderr.isatty() else 30.0,
-        )
-
-    def add(self, record: dict, wall_seconds: float, level: float) -> None:
-        self.episodes.extend(record["episodes"])
-        episodes = list(self.episodes)
-
-        def mean(key: str) -> float:
-            return float(np.mean([e[key] for e in episodes])) if episodes else 0.0
-
-        length = max(mean("length"), 1.0)
-        figures = record | {
-            "wall_seconds": wall_seconds, "reward": mean("reward"), "episode_length": mean("length"),
-            "waypoint_fraction": mean("waypoints") / 8, "edge_violation": mean("edge") / length, "level": level,
-        }  # fmt: skip
-        self.rows.append({key: f"{figures[key]:.6g}" if key != "steps" else figures[key] for key in PROGRESS})
-        self.bar.set_postfix_str(
-            f"return {figures['reward']:.1f}, waypoints {figures['waypoint_fraction']:.2f}, level {level:.2f}",
-            refresh=False,
-        )
-        self.bar.update(record["steps"] - self.bar.n)
-
-    def write(self) -> None:
-        if self.rows:
-            _write_csv(self.path, self.rows)
-
-    def close(self) -> None:
-        self.bar.close()
-
-
-class _StopRequest:
-    """Turns Ctrl-C and termination into a stop after the current iteration."""
-
-    def __init__(self):
-        self.asked = False
-
-    def requested(self) -> bool:
-        return self.asked
-
-    def _ask(self, signum, frame) -> None:
-        self.asked = True
-
-    def __enter__(self):
-        try:
-            self._previous = {s: signal.signal(s, self._ask) for s in (signal.SIGINT, signal.SIGTERM)}
-        except ValueError:  # not in the main thread: nobody can press Ctrl-C here
-            self._previous = {}
-        return self
-
-    def __exit__(self, *exc) -> None:
-        for signum, handler in self._previous.items():
-            signal.signal(signum, handler)
+    write_text(folder / "DONE", f"{len(labels)} states\n")

@@ -137,7 +137,7 @@ def test_rows_beyond_the_checkpoint_are_dropped(config):
 
 def test_interrupt_saves_and_leaves_no_done(config, monkeypatch):
     monkeypatch.setattr(
-        runs._StopRequest, "requested", lambda self: True if self.asked else setattr(self, "asked", True)
+        runs.StopRequest, "requested", lambda self: True if self.asked else setattr(self, "asked", True)
     )
     folder = run_folder(config.root, "walk", 0)
     with pytest.raises(KeyboardInterrupt, match="goes on"):

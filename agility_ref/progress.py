@@ -1,0 +1,112 @@
+"""Progress: what a run shows and writes while it trains, and how it is stopped.
+
+In:  the record of each iteration of :func:`agility_ref.ppo.train`.
+Out: a progress bar, ``progress.csv``, and a polite end on Ctrl-C.  Files are written under a
+temporary name and renamed, so that a reader never meets half of one.
+"""
+
+import csv
+import os
+import signal
+import sys
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+
+from agility_ref.terrain import NUM_WAYPOINTS
+
+PROGRESS = (
+    "steps", "wall_seconds", "steps_per_second", "reward", "episode_length", "waypoint_fraction",
+    "edge_violation", "level", "std", "learning_rate", "kl", "clip_fraction", "policy_loss", "value_loss", "entropy",
+)  # fmt: skip
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    partial = path.with_suffix(".partial")
+    partial.write_text(text)
+    os.replace(partial, path)
+
+
+def write_csv(path: Path, rows: list[dict]) -> None:
+    """Write rows that share their keys, whole or not at all."""
+    partial = path.with_suffix(".partial")
+    with open(partial, "w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    os.replace(partial, path)
+
+
+class ProgressLog:
+    """The progress bar and progress.csv of one run; averages over the last 200 episodes."""
+
+    def __init__(self, name: str, folder: Path, rows: list[dict], total: int, quiet: bool):
+        from tqdm import tqdm
+
+        self.path, self.rows, self.episodes = folder / "progress.csv", rows, deque(maxlen=200)
+        done = int(rows[-1]["steps"]) if rows else 0
+        self.bar = tqdm(
+            total=total,
+            initial=done,
+            desc=name,
+            unit="step",
+            unit_scale=True,
+            disable=quiet,
+            mininterval=0.5 if sys.stderr.isatty() else 30.0,
+        )
+
+    def add(self, record: dict, wall_seconds: float, level: float) -> None:
+        """Take in one iteration."""
+        self.episodes.extend(record["episodes"])
+        episodes = list(self.episodes)
+
+        def mean(key: str) -> float:
+            return float(np.mean([e[key] for e in episodes])) if episodes else 0.0
+
+        length = max(mean("length"), 1.0)
+        figures = record | {
+            "wall_seconds": wall_seconds, "reward": mean("reward"), "episode_length": mean("length"),
+            "waypoint_fraction": mean("waypoints") / NUM_WAYPOINTS, "edge_violation": mean("edge") / length, "level": level,
+        }  # fmt: skip
+        self.rows.append({key: f"{figures[key]:.6g}" if key != "steps" else figures[key] for key in PROGRESS})
+        self.bar.set_postfix_str(
+            f"return {figures['reward']:.1f}, waypoints {figures['waypoint_fraction']:.2f}, level {level:.2f}",
+            refresh=False,
+        )
+        self.bar.update(record["steps"] - self.bar.n)
+
+    def write(self) -> None:
+        """Write progress.csv."""
+        if self.rows:
+            write_csv(self.path, self.rows)
+
+    def close(self) -> None:
+        """Finish the progress bar."""
+        self.bar.close()
+
+
+class StopRequest:
+    """Turns Ctrl-C and termination into a stop after the current iteration."""
+
+    def __init__(self):
+        self.asked = False
+
+    def requested(self) -> bool:
+        """Whether somebody asked for an end."""
+        return self.asked
+
+    def _ask(self, signum, frame) -> None:
+        self.asked = True
+
+    def __enter__(self):
+        try:
+            self._previous = {s: signal.signal(s, self._ask) for s in (signal.SIGINT, signal.SIGTERM)}
+        except ValueError:  # not in the main thread: nobody can press Ctrl-C here
+            self._previous = {}
+        return self
+
+    def __exit__(self, *exc) -> None:
+        for signum, handler in self._previous.items():
+            signal.signal(signum, handler)
