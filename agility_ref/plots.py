@@ -159,7 +159,8 @@ def _wall_axis(axis, curve: dict[str, np.ndarray], whose: str = "") -> None:
     twin = axis.secondary_xaxis(
         "top", functions=(lambda x: np.interp(x, *outer), lambda t: np.interp(t, *reversed(outer)))
     )
-    ticks = MaxNLocator(5).tick_values(0, minutes[-1])
+    share = (steps[-1] - steps[0]) / max(axis.get_xlim()[1], steps[-1])  # of the axis: room for labels
+    ticks = MaxNLocator(max(round(5 * share), 1)).tick_values(0, minutes[-1])
     twin.set_xticks(ticks[(ticks >= 0) & (ticks <= minutes[-1])])
     twin.set_xlabel(f"wall time{whose} [min]")
 

@@ -10,6 +10,7 @@ from agility_ref.curriculum import CurriculumConfig
 from agility_ref.env import ACTION_DIM, NUM_SCANDOTS, OBS_DIM
 from agility_ref.errors import UserError
 from agility_ref.ppo import PPOConfig
+from agility_ref.progress import PROGRESS
 from agility_ref.runs import TrainConfig, load_policy, run_folder, train_policy, weights_path
 from agility_ref.selector import Hierarchy, Single, SupervisedConfig
 
@@ -62,7 +63,7 @@ def test_a_run_writes_its_files(config, tmp_path, drawing):
 def test_progress_has_a_row_an_iteration(config):
     folder = train_policy("walk", config, quiet=True)
     assert steps_of(folder) == [BATCH, 2 * BATCH, 3 * BATCH]
-    assert list(progress(folder)[0]) == list(runs.PROGRESS)
+    assert list(progress(folder)[0]) == list(PROGRESS)
 
 
 def test_config_is_recorded(config):
