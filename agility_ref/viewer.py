@@ -62,10 +62,13 @@ class Session:
         self._qpos, self._qvel = self.env.batch.bind("qpos"), self.env.batch.bind("qvel")
         self.observation, _ = self.env.reset(seed)
         self.policy.reset()
-        self.skill: int | None = None
+        self.skill: int | None = None  # chosen at the last step
+        self.wanted: int | None = None  # ... and named by the oracle there
 
     def step(self) -> None:
         """Advance by one control step; a finished episode starts again on the same course."""
+        if isinstance(self.policy, Hierarchy):
+            self.wanted = int(self.policy.labels[self.env.oracle_skill()[0]])
         if isinstance(self.policy, Hierarchy) and self.by_hand is not None:
             self.skill = self.by_hand
             action = self.policy.execute(self.observation, np.array([self.by_hand]))
@@ -104,9 +107,10 @@ class Session:
             f"speed {env.base_lin_vel[0, 0]:.1f} of {env.command[0]:.1f} m/s",
         ]
         if self.skill is not None:
-            wanted = self.skill_names[self.policy.labels[env.oracle_skill()[0]]]
             by = "by hand" if self.by_hand is not None else "by the policy"
-            lines.append(f"skill **{self.skill_names[self.skill]}** {by}; the oracle would take {wanted}")
+            lines.append(
+                f"skill **{self.skill_names[self.skill]}** {by}; the oracle would take {self.skill_names[self.wanted]}"
+            )
         if self.last_ending:
             lines.append(f"last episode: {self.last_ending}")
         return "\n\n".join(lines)
@@ -168,7 +172,8 @@ def geom_mesh(model: mujoco.MjModel, geom: int):
     mesh.apply_transform(frame)
     if kind in (BOX, CYLINDER):
         mesh.unmerge_vertices()  # so that edges are sharp
-    mesh.visual.vertex_colors = np.tile((255 * model.geom_rgba[geom]).astype(np.uint8), (len(mesh.vertices), 1))
+    colour = model.geom_rgba[geom] ** [2.2, 2.2, 2.2, 1.0]  # a mesh file holds linear light, not sRGB
+    mesh.visual.vertex_colors = np.tile((255 * colour).astype(np.uint8), (len(mesh.vertices), 1))
     return mesh
 
 

@@ -13,7 +13,6 @@ from agility_ref.cli import PLOTS, main
 from agility_ref.evaluate import EvaluationConfig
 from agility_ref.go1 import FOOT_RADIUS, make_model
 from agility_ref.record import record
-from agility_ref.runs import PROGRESS
 from agility_ref.scene import LOOK_GROUP, find_edges, make_scene, waypoint_heights
 from agility_ref.selector import Single, oracle_hierarchy
 from agility_ref.silhouette import Robot, support_points
@@ -21,6 +20,7 @@ from agility_ref.stats import iqm
 from agility_ref.terrain import COURSE_KINDS, height_map, make_course
 
 CONFIG = EvaluationConfig(difficulty=0.3)
+COLUMNS = ("steps", "wall_seconds", "steps_per_second", "reward", "waypoint_fraction", "level")
 SKILLS = ("walk", "climb-up", "climb-down", "leap", "beam")
 
 
@@ -46,11 +46,11 @@ def hierarchical(bank):
 def write_progress(folder: Path, offset=0.0, rows=40) -> Path:
     folder.mkdir(parents=True)
     path = folder / "progress.csv"
-    lines = [",".join(PROGRESS)]
+    lines = [",".join(COLUMNS)]
     for k in range(rows):
-        values = dict.fromkeys(PROGRESS, 1.0) | {"steps": 1000 * (k + 1), "wall_seconds": 0.5 * k + 1}
+        values = dict.fromkeys(COLUMNS, 1.0) | {"steps": 1000 * (k + 1), "wall_seconds": 0.5 * k + 1}
         values |= {"reward": k + offset, "waypoint_fraction": k / rows, "level": k / rows}
-        lines.append(",".join(str(values[name]) for name in PROGRESS))
+        lines.append(",".join(str(values[name]) for name in COLUMNS))
     path.write_text("\n".join(lines) + "\n")
     return path
 

@@ -164,6 +164,12 @@ def test_session_plays_and_starts_again(session):
     assert np.isfinite(session.qpos).all()
 
 
+def test_status_compares_skills_of_the_same_step(session):
+    for _ in range(150):
+        session.step()
+        assert session.skill == session.wanted  # the oracle agrees with itself, at its borders too
+
+
 def test_skill_by_hand(session):
     session.step()
     assert session.skill == 0  # the oracle walks on the start platform
