@@ -1,8 +1,10 @@
 """One generalist policy, or a bank of specialists?  A small, readable reproduction.
 
-Start at :mod:`agility_ref.terrain`; every module imports only from those above it:
-terrain, go1, rewards, curriculum, env, checkpoint, networks, ppo, policies, selector,
-evaluate, stats, plots, runs, table1, cli.
+Start at :mod:`agility_ref.terrain`; every module imports only from those before it:
+errors, terrain, world, go1, rewards, observation, task, curriculum, env, checkpoint,
+policies, weights, networks, ppo, selector, evaluate, stats, plots, progress, runs, table1;
+then the pictures: record, silhouette, pictures, panels, gallery, graphics, scene, video,
+viewer; and last cli_pictures and cli.
 """
 
 import os

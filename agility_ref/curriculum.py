@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agility_ref.terrain import EASIEST, World, make_course
+from agility_ref.terrain import EASIEST, make_course
+from agility_ref.world import World
 
 
 @dataclass(frozen=True)

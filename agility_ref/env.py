@@ -6,96 +6,19 @@ docstring is the manual, and paper sections 3.1 and 4.1.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from mujoco import batch
 
-from agility_ref.go1 import DEFAULT_DOF_POS, FOOT_RADIUS, STAND_HEIGHT, PhysicsConfig, make_model
-from agility_ref.rewards import RewardConfig, StepState, compute_reward
-from agility_ref.terrain import CELL, EDGE_DISTANCE, GRID_SHAPE, LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X, World
+from agility_ref.go1 import DEFAULT_DOF_POS, FOOT_RADIUS, STAND_HEIGHT, make_model
+from agility_ref.observation import NOISE, SCANDOTS, rotation, scandots, wrap
+from agility_ref.rewards import StepState, compute_reward
+from agility_ref.task import EnvConfig
+from agility_ref.terrain import LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X
+from agility_ref.world import EDGE_DISTANCE, World
 
-SCANDOT_X = np.arange(-0.45, 1.21, 0.15, dtype=np.float32)  # (12,) [m] ahead of the trunk
-SCANDOT_Y = np.arange(-0.75, 0.76, 0.15, dtype=np.float32)  # (11,) [m] to its left
-NUM_SCANDOTS = len(SCANDOT_X) * len(SCANDOT_Y)  # 132
-
-OBSERVATION = {  # name: (size, noise amplitude)
-    "base_lin_vel": (3, 0.1),
-    "base_ang_vel": (3, 0.2),
-    "projected_gravity": (3, 0.03),
-    "heading_error": (2, 0.05),
-    "command": (1, 0.0),
-    "dof_pos": (12, 0.02),
-    "dof_vel": (12, 0.5),
-    "last_action": (12, 0.0),
-    "foot_contact": (4, 0.0),
-    "scandots": (NUM_SCANDOTS, 0.02),
-}
-OBS_DIM = sum(size for size, _ in OBSERVATION.values())  # 184
 ACTION_DIM = 12
-
-
-def observation_slices() -> dict[str, slice]:
-    """Where each part of the observation stands."""
-    ends = np.cumsum([size for size, _ in OBSERVATION.values()]).tolist()
-    return {name: slice(e - OBSERVATION[name][0], e) for name, e in zip(OBSERVATION, ends, strict=True)}
-
-
-SCANDOTS = observation_slices()["scandots"]
-# One draw an entry, but one for all scandots together: an error of the height estimate.
-NOISE = np.array([a for name, (n, a) in OBSERVATION.items() for _ in range(n if name != "scandots" else 1)], np.float32)
-
-
-@dataclass(frozen=True)
-class EnvConfig:
-    """Everything about the task but the courses."""
-
-    physics: PhysicsConfig = PhysicsConfig()
-    """Simulator and joint controller."""
-    rewards: RewardConfig = RewardConfig()
-    """Weights of the reward terms."""
-    clip_reward_at_zero: bool = False
-    """Clip the summed reward at zero as the original does; docs/training.md has the ablation."""
-    action_scale: float = 0.3
-    """Joint offset per unit of action [rad]; usual 0.25 to 0.5."""
-    action_limit: float = 4.0
-    """Actions are clipped to +- this; 4 x 0.3 = 1.2 rad, the original's limit."""
-    action_repeat: int = 1
-    """Control steps for which an action is held, the paper's "action stacking" ablation; 1 to 5."""
-    episode_seconds: float = 20.0
-    """An episode is truncated after this time [s]."""
-    command_low: float = 0.8
-    """Lowest commanded speed [m/s]; the original's 0.3 times out before the end of a course."""
-    command_high: float = 1.2
-    """Highest commanded speed [m/s]; original 0.8."""
-    waypoint_radius: float = 0.2
-    """A waypoint counts while the trunk's xy is within this distance [m]."""
-    waypoint_seconds: float = 0.1
-    """... and is reached after staying there for this long [s]."""
-    max_tilt: float = 1.4
-    """Angle between trunk and vertical beyond which a robot has tipped over [rad]."""
-    noise: float = 1.0
-    """Scale of the observation noise; 0 turns it off."""
-    push_interval: float = 6.0
-    """Seconds between pushes; 0 turns them off.  Original: 8 in training, 6 in evaluation."""
-    push_velocity: float = 0.5
-    """A push sets the horizontal velocity to a draw from +- this [m/s]."""
-    friction_low: float = 0.6
-    """Lowest ground friction, drawn per course; original 0.6."""
-    friction_high: float = 1.2
-    """Highest ground friction; original 2.0."""
-    payload_high: float = 2.0
-    """Highest mass added to the trunk [kg], drawn per course; original 3."""
-
-    @property
-    def dt(self) -> float:
-        """Time between two actions [s]."""
-        return self.physics.timestep * self.physics.substeps * self.action_repeat
-
-    def clean(self) -> "EnvConfig":
-        """Return the same task without noise, pushes and payload, at friction 1."""
-        return replace(self, noise=0.0, push_interval=0.0, payload_high=0.0, friction_low=1.0, friction_high=1.0)
 
 
 DIVERGED = [
@@ -104,24 +27,6 @@ DIVERGED = [
 ]
 
 NextCourse = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
-
-
-def wrap(angle: np.ndarray) -> np.ndarray:
-    """Wrap angles [rad] to +-pi."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
-
-
-def rotation(quat: np.ndarray) -> np.ndarray:
-    """Rotation matrices (N, 3, 3), body to world, of unit quaternions (N, 4), wxyz."""
-    w, x, y, z = np.ascontiguousarray(quat.T)
-    return np.stack(
-        [
-            1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-            2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-            2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-        ],
-        axis=1,
-    ).reshape(-1, 3, 3)  # fmt: skip
 
 
 class Go1Env:
@@ -195,7 +100,6 @@ class Go1Env:
         self._reach_steps = round(config.waypoint_seconds / config.dt)
         self._push_steps = round(config.push_interval / config.dt)
         self._level_course = world.kinds == "walk"
-        self._heights_flat = world.heights.reshape(-1)
 
         model_rng = np.random.default_rng([seed, 1])
         num_boxes = max(len(course.boxes) for course in world.courses)
@@ -442,25 +346,6 @@ class Go1Env:
         off_beam = (self._foot_pos[:, :, 2] < FOOT_RADIUS - 0.1).all(axis=1)
         return tipped | outside | below | (off_beam & self.world.over_beam[self.course, i])
 
-    def _scandots(self, ids: np.ndarray | slice) -> np.ndarray:
-        """(n, 132) clip(trunk z - 0.3 - ground height, +-1) [m]."""
-        x, y, z = self._qpos[ids, :3].astype(np.float32).T
-        yaw = self.yaw[ids].astype(np.float32)
-        cos, sin = np.cos(yaw)[:, None] / CELL, np.sin(yaw)[:, None] / CELL
-        nx, ny = GRID_SHAPE
-        # p = base + R(yaw) (dx, dy) in cells; the grid is separable, so two outer sums do
-        along_x = (x / CELL)[:, None] + cos * SCANDOT_X  # (n, 12)
-        along_y = ((y + LANE_WIDTH / 2) / CELL)[:, None] + sin * SCANDOT_X
-        i = (along_x[:, :, None] - (sin * SCANDOT_Y)[:, None, :]).astype(np.int32)  # (n, 12, 11)
-        j = (along_y[:, :, None] + (cos * SCANDOT_Y)[:, None, :]).astype(np.int32)
-        np.clip(i, 0, nx - 1, out=i)
-        np.clip(j, 0, ny - 1, out=j)
-        i *= ny
-        i += j
-        i += (self.course[ids] * (nx * ny)).astype(np.int32)[:, None, None]
-        ground = self._heights_flat.take(i).reshape(-1, NUM_SCANDOTS)
-        return np.clip((z - np.float32(0.3))[:, None] - ground, -1.0, 1.0)
-
     def _draw_noise(self) -> np.ndarray | None:
         """(N, 53) uniform observation noise, None where it is off."""
         if not self.config.noise:
@@ -483,7 +368,7 @@ class Go1Env:
                 self._qvel[ids, 6:],  # 12
                 self._last_action[ids],  # 12
                 self.foot_contact[ids],  # 4
-                self._scandots(ids),  # 132
+                scandots(self.world, self.course[ids], self._qpos[ids, :3], self.yaw[ids]),  # 132
             ],
             axis=1,
             dtype=np.float32,

@@ -16,12 +16,12 @@ from agility_ref.terrain import (
     Course,
     beam_width,
     gap_width,
-    height_map,
     make_course,
     pit_depth,
     roughness,
     step_height,
 )
+from agility_ref.world import height_map
 
 SHOWN = (1.7, 5.7)  # [m] stretch of every course in the gallery
 VIEW = {  # kind: lowest and highest coordinate shown [m]; y for beam, which is seen from above

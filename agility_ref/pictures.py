@@ -12,7 +12,8 @@ from agility_ref.plots import GREY, PURPLE, RED, SKILL_COLOURS, empty_figure, ne
 from agility_ref.record import Episode
 from agility_ref.scene import LEG_COLOURS, find_edges, waypoint_heights
 from agility_ref.silhouette import Robot
-from agility_ref.terrain import CELL, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, Course, height_map, region_map
+from agility_ref.terrain import CELL, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, Course
+from agility_ref.world import height_map, region_map
 
 VIOLATION, ROBOT = RED, PURPLE
 ROW_LENGTH = 5.0  # [m] of course in one row of a strobe picture

@@ -1,4 +1,4 @@
-"""The policies of Table 1, as data: what each is, trains on, and may spend.
+"""The policies of Table 1, as data: what each is, trains on and may spend, and with which PPO.
 
 Paper sections 3.1.1 (specialists), 3.2 (selectors) and 4 (generalists).  Budgets are in
 environment steps and **include the warm start**; a generalist may spend as much as all the
@@ -10,6 +10,49 @@ from dataclasses import dataclass
 from agility_ref.errors import unknown_name
 
 ENVIRONMENTS = ("climb-gap", "gap", "beam", "climb")  # the column blocks of Table 1, in its order
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Hyper-parameters, the same for every policy of Table 1 unless said otherwise."""
+
+    num_envs: int = 256
+    """Robots simulated side by side; usual 64 to 4096."""
+    num_steps: int = 16
+    """Control steps per robot and iteration; usual 16 to 64."""
+    update_epochs: int = 4
+    """Passes over the batch per iteration; usual 3 to 10."""
+    num_minibatches: int = 4
+    """Minibatches per pass; usual 2 to 8."""
+    gamma: float = 0.99
+    """Discount per control step; usual 0.97 to 0.995."""
+    gae_lambda: float = 0.95
+    """Weight of longer returns in the advantage; usual 0.9 to 0.97."""
+    clip_coef: float = 0.2
+    """How far the policy ratio may move before its gradient stops; usual 0.1 to 0.3."""
+    vf_coef: float = 0.5
+    """Weight of the value loss; usual 0.5 to 1."""
+    ent_coef: float = 0.005
+    """Weight of the entropy bonus; usual 0 to 0.01."""
+    max_grad_norm: float = 1.0
+    """Gradients are scaled down to this norm; usual 0.5 to 1."""
+    learning_rate: float = 1e-3
+    """Start of the adaptive rate; usual 3e-4 to 1e-3."""
+    learning_rate_min: float = 1.5e-4
+    """Floor of the adaptive rate; 1e-5 stalls at batches of 4096."""
+    learning_rate_max: float = 3e-3
+    """Ceiling of the adaptive rate."""
+    target_kl: float = 0.02
+    """KL divergence per minibatch that the rate is steered to; usual 0.005 to 0.02."""
+    init_std: float = 0.8
+    """Standard deviation of the first policy; usual 0.5 to 1."""
+    hidden: tuple[int, ...] = (128, 128)
+    """Units of the hidden layers of actor and critic."""
+
+    @property
+    def batch_size(self) -> int:
+        """Environment steps per iteration."""
+        return self.num_envs * self.num_steps
 
 
 @dataclass(frozen=True)

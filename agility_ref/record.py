@@ -16,7 +16,8 @@ from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluation_world
 from agility_ref.selector import Hierarchy, Single
-from agility_ref.terrain import NUM_WAYPOINTS, Course, World
+from agility_ref.terrain import NUM_WAYPOINTS, Course
+from agility_ref.world import World
 
 
 @dataclass(frozen=True)

@@ -15,16 +15,17 @@ import shutil
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agility_ref import checkpoint, weights
 from agility_ref.checkpoint import Policy
 from agility_ref.curriculum import Curriculum, CurriculumConfig, training_world
-from agility_ref.env import ACTION_DIM, NUM_SCANDOTS, OBS_DIM, SCANDOTS, EnvConfig, Go1Env
+from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
 from agility_ref.errors import UserError
-from agility_ref.policies import PolicySpec, find_policy, find_preset, requirements
-from agility_ref.ppo import Learner, PPOConfig, train
+from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
+from agility_ref.policies import PolicySpec, PPOConfig, find_policy, find_preset, requirements
 from agility_ref.progress import ProgressLog, StopRequest, write_csv, write_text
 from agility_ref.selector import (
     Hierarchy,
@@ -36,6 +37,9 @@ from agility_ref.selector import (
     oracle_hierarchy,
     selector_hierarchy,
 )
+
+if TYPE_CHECKING:
+    from agility_ref.ppo import Learner
 
 
 @dataclass(frozen=True)
@@ -173,8 +177,10 @@ def _make_env(spec: PolicySpec, config: TrainConfig) -> tuple[Go1Env, Curriculum
 
 
 def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -> None:
+    # Here, so that only training waits for torch.
     from agility_ref.networks import Categorical, Gaussian
     from agility_ref.plots import learning_curve
+    from agility_ref.ppo import Learner, train
 
     total = config.steps or spec.steps(config.preset)
     ppo = config.ppo
@@ -222,7 +228,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
 
 
 def _resume_or_warm_start(
-    spec: PolicySpec, config: TrainConfig, folder: Path, learner: Learner, curriculum: Curriculum
+    spec: PolicySpec, config: TrainConfig, folder: Path, learner: "Learner", curriculum: Curriculum
 ) -> list[dict]:
     """Load the folder's checkpoint, or the warm start; return the progress so far."""
     saved = folder / "policy.npz"

@@ -16,7 +16,8 @@ import mujoco
 import numpy as np
 
 from agility_ref.go1 import FOOT_RADIUS, LEFT, LEGS, LINK_LENGTH, make_xml
-from agility_ref.terrain import CELL, EDGE_MIN_DROP, GRID_SHAPE, LANE_WIDTH, NUM_WAYPOINTS, Course, height_map
+from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH, NUM_WAYPOINTS, Course
+from agility_ref.world import EDGE_MIN_DROP, height_map
 
 # Okabe and Ito.  Right legs are warm, left legs cool; the front pair is the darker one.
 LEG_COLOURS = {"FR": "#E69F00", "FL": "#0072B2", "RR": "#F0E442", "RL": "#56B4E9"}

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agility_ref.checkpoint import Policy
-from agility_ref.env import OBS_DIM, SCANDOTS, Go1Env
+from agility_ref.env import Go1Env
+from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.terrain import SKILLS
 
 Chooser = Callable[[np.ndarray, Go1Env], np.ndarray]

@@ -26,7 +26,8 @@ from agility_ref.policies import find_preset
 from agility_ref.record import Episode
 from agility_ref.scene import BOX, CAPSULE, CYLINDER, ELLIPSOID, LOOK_GROUP, SPHERE, WAYPOINT_COLOURS, make_scene
 from agility_ref.selector import Hierarchy, Single
-from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, World, make_course
+from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, make_course
+from agility_ref.world import World
 
 LOOPBACK = "127.0.0.1"
 PUSH = 1.0  # [m/s] added to the trunk's velocity by a push

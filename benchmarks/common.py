@@ -29,17 +29,8 @@ from mujoco import batch
 from agility_ref.curriculum import Curriculum, CurriculumConfig, training_world
 from agility_ref.go1 import DEFAULT_DOF_POS, STAND_HEIGHT, PhysicsConfig, make_model, make_xml
 from agility_ref.policies import PRESETS
-from agility_ref.terrain import (
-    CELL,
-    COURSE_KINDS,
-    LANE_LENGTH,
-    LANE_WIDTH,
-    NUM_WAYPOINTS,
-    Box,
-    Course,
-    height_map,
-    make_course,
-)
+from agility_ref.terrain import CELL, COURSE_KINDS, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, Box, Course, make_course
+from agility_ref.world import height_map
 
 # ---------------------------------------------------------------------------- time
 

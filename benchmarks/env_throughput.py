@@ -29,7 +29,7 @@ from common import (
 from agility_ref.checkpoint import Policy
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS
-from agility_ref.terrain import World
+from agility_ref.world import World
 
 
 @dataclass(frozen=True)

@@ -31,12 +31,14 @@ from common import (
 )
 
 from agility_ref.checkpoint import Policy
-from agility_ref.env import OBS_DIM, EnvConfig
+from agility_ref.env import EnvConfig
 from agility_ref.evaluate import EvaluationConfig, evaluate
 from agility_ref.go1 import PhysicsConfig, make_xml
+from agility_ref.observation import OBS_DIM
 from agility_ref.selector import Single
 from agility_ref.stats import bootstrap_interval, paired_difference, wilson_interval
-from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH, Course, height_map
+from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH, Course
+from agility_ref.world import height_map
 
 CHOSEN = PhysicsConfig()
 

@@ -15,7 +15,7 @@ from common import available_cores, in_fresh_process, machine, mixed_courses, pe
 
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS
-from agility_ref.terrain import World
+from agility_ref.world import World
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,11 @@ import tyro
 from common import machine, report, walk_training
 
 from agility_ref.checkpoint import Policy
-from agility_ref.env import ACTION_DIM, OBS_DIM, SCANDOTS
+from agility_ref.env import ACTION_DIM
 from agility_ref.evaluate import EvaluationConfig, evaluate
-from agility_ref.ppo import Learner, PPOConfig, train
+from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.policies import PPOConfig
+from agility_ref.ppo import Learner, train
 from agility_ref.selector import Single
 
 

@@ -15,8 +15,10 @@ import tyro
 from common import Taped, alternate, available_cores, machine, ratio, report, show, walk_training
 
 from agility_ref.checkpoint import Policy
-from agility_ref.env import ACTION_DIM, OBS_DIM, SCANDOTS, Go1Env
-from agility_ref.ppo import Learner, PPOConfig, collect, train, update
+from agility_ref.env import ACTION_DIM, Go1Env
+from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.policies import PPOConfig
+from agility_ref.ppo import Learner, collect, train, update
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from common import (
 
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS, PhysicsConfig
-from agility_ref.terrain import World
+from agility_ref.world import World
 
 TASKS = {"flat": "Go1JoystickFlatTerrain-v1", "rough": "Go1JoystickRoughTerrain-v1"}
 

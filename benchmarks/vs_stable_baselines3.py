@@ -19,8 +19,10 @@ import torch
 import tyro
 from common import available_cores, machine, report, require, walk_training
 
-from agility_ref.env import ACTION_DIM, OBS_DIM, SCANDOTS, Go1Env
-from agility_ref.ppo import Learner, PPOConfig, train
+from agility_ref.env import ACTION_DIM, Go1Env
+from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.policies import PPOConfig
+from agility_ref.ppo import Learner, train
 from agility_ref.terrain import NUM_WAYPOINTS
 
 

@@ -8,7 +8,8 @@ from agility_ref import checkpoint
 from agility_ref.checkpoint import Policy, elu, layers_of, mlp
 from agility_ref.errors import UserError
 from agility_ref.networks import ActorCritic
-from agility_ref.ppo import Learner, PPOConfig
+from agility_ref.policies import PPOConfig
+from agility_ref.ppo import Learner
 
 META = {"policy": "walk", "act_dim": 3, "steps": 7}
 

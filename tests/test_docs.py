@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from agility_ref.env import OBSERVATION, observation_slices
+from agility_ref.observation import OBSERVATION, observation_slices
 
 ROOT = Path(__file__).parent.parent
 

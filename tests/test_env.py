@@ -4,22 +4,21 @@ import numpy as np
 import pytest
 from mujoco import batch
 
-from agility_ref.env import (
-    ACTION_DIM,
+from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
+from agility_ref.go1 import STAND_HEIGHT
+from agility_ref.observation import (
     NUM_SCANDOTS,
     OBS_DIM,
     OBSERVATION,
     SCANDOT_X,
     SCANDOT_Y,
     SCANDOTS,
-    EnvConfig,
-    Go1Env,
     observation_slices,
     rotation,
     wrap,
 )
-from agility_ref.go1 import STAND_HEIGHT
-from agility_ref.terrain import COURSE_KINDS, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, World, make_course
+from agility_ref.terrain import COURSE_KINDS, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, make_course
+from agility_ref.world import World
 
 CLEAN = EnvConfig().clean()
 SLICES = observation_slices()

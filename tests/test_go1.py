@@ -14,7 +14,8 @@ from agility_ref.go1 import (
     PhysicsConfig,
     make_model,
 )
-from agility_ref.terrain import CELL, COURSE_KINDS, GRID_SHAPE, LANE_WIDTH, height_map, make_course
+from agility_ref.terrain import CELL, COURSE_KINDS, GRID_SHAPE, LANE_WIDTH, make_course
+from agility_ref.world import height_map
 
 JOINT_ORDER = "FR_hip FR_thigh FR_calf FL_hip FL_thigh FL_calf RR_hip RR_thigh RR_calf RL_hip RL_thigh RL_calf".split()
 

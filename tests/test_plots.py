@@ -9,7 +9,8 @@ from PIL import Image
 
 from agility_ref import gallery, panels, pictures, plots, runs
 from agility_ref.checkpoint import Policy
-from agility_ref.cli import PLOTS, main
+from agility_ref.cli import main
+from agility_ref.cli_pictures import PLOTS
 from agility_ref.evaluate import EvaluationConfig
 from agility_ref.go1 import FOOT_RADIUS, make_model
 from agility_ref.record import record
@@ -17,7 +18,8 @@ from agility_ref.scene import LOOK_GROUP, find_edges, make_scene, waypoint_heigh
 from agility_ref.selector import Single, oracle_hierarchy
 from agility_ref.silhouette import Robot, support_points
 from agility_ref.stats import iqm
-from agility_ref.terrain import COURSE_KINDS, height_map, make_course
+from agility_ref.terrain import COURSE_KINDS, make_course
+from agility_ref.world import height_map
 
 CONFIG = EvaluationConfig(difficulty=0.3)
 COLUMNS = ("steps", "wall_seconds", "steps_per_second", "reward", "waypoint_fraction", "level")

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from agility_ref.networks import Categorical, Gaussian
-from agility_ref.ppo import Learner, PPOConfig, adapt_learning_rate, collect, gae, policy_loss, train, update
+from agility_ref.policies import PPOConfig
+from agility_ref.ppo import Learner, adapt_learning_rate, collect, gae, policy_loss, train, update
 
 torch.set_num_threads(1)
 TINY = PPOConfig(num_envs=8, num_steps=16, hidden=(16,), update_epochs=2, num_minibatches=2)

@@ -6,7 +6,8 @@ from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig
 from agility_ref.record import play, record
 from agility_ref.selector import Single, oracle_hierarchy
-from agility_ref.terrain import World, make_course
+from agility_ref.terrain import make_course
+from agility_ref.world import World
 
 CONFIG = EvaluationConfig(difficulty=0.3, seed=4)
 

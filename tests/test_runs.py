@@ -7,9 +7,10 @@ import pytest
 
 from agility_ref import checkpoint, runs
 from agility_ref.curriculum import CurriculumConfig
-from agility_ref.env import ACTION_DIM, NUM_SCANDOTS, OBS_DIM
+from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
-from agility_ref.ppo import PPOConfig
+from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
+from agility_ref.policies import PPOConfig
 from agility_ref.progress import PROGRESS
 from agility_ref.runs import TrainConfig, load_policy, run_folder, train_policy, weights_path
 from agility_ref.selector import Hierarchy, Single, SupervisedConfig

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from agility_ref.checkpoint import Policy
-from agility_ref.env import ACTION_DIM, NUM_SCANDOTS, OBS_DIM, SCANDOTS, EnvConfig, Go1Env
+from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
+from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.selector import (
     Hierarchy,
     SelectorEnv,
@@ -14,7 +15,8 @@ from agility_ref.selector import (
     selector_hierarchy,
     skill_labels,
 )
-from agility_ref.terrain import SKILLS, World, make_course
+from agility_ref.terrain import SKILLS, make_course
+from agility_ref.world import World
 
 FIVE = ("walk", "climb-up", "climb-down", "leap", "beam")
 

@@ -6,25 +6,18 @@ from agility_ref.terrain import (
     CELL,
     COURSE_KINDS,
     EASIEST,
-    EDGE_MIN_DROP,
     GRID_SHAPE,
     LANE_LENGTH,
     LANE_WIDTH,
-    LEAD,
     NUM_WAYPOINTS,
     SKILLS,
     START_LENGTH,
-    TAIL,
     Box,
     Course,
     Obstacle,
-    World,
-    edge_map,
-    height_map,
     make_course,
-    region_map,
-    support_map,
 )
+from agility_ref.world import EDGE_MIN_DROP, LEAD, TAIL, World, edge_map, height_map, region_map, support_map
 
 INF = np.inf
 SEEDS = range(8)

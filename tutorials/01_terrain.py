@@ -17,26 +17,22 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
-from agility_ref.env import SCANDOT_X, SCANDOT_Y, SCANDOTS, EnvConfig, Go1Env, wrap
+from agility_ref.env import EnvConfig, Go1Env
+from agility_ref.observation import SCANDOT_X, SCANDOT_Y, SCANDOTS, wrap
 from agility_ref.plots import BLUE, RED, SKILL_COLOURS, new_figure
 from agility_ref.terrain import (
     CELL,
     COURSE_KINDS,
-    EDGE_DISTANCE,
-    EDGE_MIN_DROP,
     LANE_LENGTH,
     LANE_WIDTH,
     SKILLS,
-    World,
     beam_width,
-    edge_map,
     gap_width,
-    height_map,
     make_course,
-    region_map,
     roughness,
     step_height,
 )
+from agility_ref.world import EDGE_DISTANCE, EDGE_MIN_DROP, World, edge_map, height_map, region_map
 
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
