@@ -17,7 +17,8 @@ from agility_ref.errors import UserError
 from agility_ref.policies import find_policy
 
 FOLDER = Path(str(resources.files("agility_ref") / "weights"))
-CURVE_POINTS = 60  # points of progress.csv that the manifest keeps
+CURVE_POINTS = 60  # points of progress.csv that the manifest keeps ...
+CURVE_COLUMNS = ("steps", "wall_seconds", "reward", "waypoint_fraction", "level")  # ... and what of each
 
 
 def file_name(preset: str, policy: str, seed: int) -> str:
@@ -47,11 +48,11 @@ def shipped(preset: str, policy: str, seed: int, folder: Path = FOLDER) -> Path 
     return path
 
 
-def _curve(progress: Path) -> list[dict[str, float]]:
+def _curve(progress: Path) -> dict[str, list[float]]:
     with open(progress, newline="") as file:
         rows = list(csv.DictReader(file))
     stride = max(1, len(rows) // CURVE_POINTS)
-    return [{key: float(value) for key, value in row.items()} for row in rows[stride - 1 :: stride]]
+    return {key: [float(row[key]) for row in rows[stride - 1 :: stride]] for key in CURVE_COLUMNS if key in rows[0]}
 
 
 def ship(run: Path, folder: Path = FOLDER) -> Path:
@@ -71,7 +72,7 @@ def ship(run: Path, folder: Path = FOLDER) -> Path:
     entries = manifest(folder) | {
         path.name: {"sha256": checkpoint.sha256(path), **record, "curve": _curve(run / "progress.csv")}
     }
-    (folder / "manifest.json").write_text(json.dumps(entries, indent=0, sort_keys=True) + "\n")
+    (folder / "manifest.json").write_text(json.dumps(entries, sort_keys=True) + "\n")
     return path
 
 

@@ -41,7 +41,8 @@ def test_the_manifest_keeps_digest_record_and_a_short_curve(run, tmp_path):
     entry = json.loads((tmp_path / "manifest.json").read_text())[path.name]
     assert entry["sha256"] == checkpoint.sha256(path)
     assert (entry["policy"], entry["seed"], entry["steps"]) == ("walk", 3, 1000)
-    assert 0 < len(entry["curve"]) <= 2 * weights.CURVE_POINTS
+    assert 0 < len(entry["curve"]["steps"]) <= 2 * weights.CURVE_POINTS
+    assert entry["curve"]["steps"][-1] == 99
 
 
 def test_weights_that_differ_from_the_manifest_are_refused_by_name(run, tmp_path):
