@@ -12,7 +12,7 @@ import numpy as np
 from mujoco import batch
 
 from agility_ref.go1 import DEFAULT_DOF_POS, FOOT_RADIUS, STAND_HEIGHT, make_model
-from agility_ref.observation import NOISE, SCANDOTS, rotation, scandots, wrap
+from agility_ref.observation import NOISE, NUM_SCANDOTS, SCANDOTS, rotation, scandots, wrap
 from agility_ref.rewards import StepState, compute_reward
 from agility_ref.task import EnvConfig
 from agility_ref.terrain import LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X
@@ -100,6 +100,8 @@ class Go1Env:
         self._reach_steps = round(config.waypoint_seconds / config.dt)
         self._push_steps = round(config.push_interval / config.dt)
         self._level_course = world.kinds == "walk"
+        last = world.waypoints[:, -1:]
+        self._waypoints = np.concatenate([world.waypoints, last, last], axis=1)  # the last one stays the goal
 
         model_rng = np.random.default_rng([seed, 1])
         num_boxes = max(len(course.boxes) for course in world.courses)
@@ -123,6 +125,7 @@ class Go1Env:
         self._torque = self.batch.bind("actuator_force")  # (N, 12)
 
         n = num_envs
+        self._everyone = np.arange(n)
         self.course = np.zeros(n, int)
         self.waypoint_index = np.zeros(n, int)
         self.command = np.ones(n)
@@ -135,8 +138,10 @@ class Go1Env:
         self.foot_on_edge = np.zeros((n, 4), bool)
         self._reach_timer = np.zeros(n, int)
         self._step_count = np.zeros(n, int)
-        self._push_offset = np.zeros(n, int)
+        self._push_timer = np.zeros(n, int)  # control steps until the next push
         self._last_action = np.zeros((n, ACTION_DIM))
+        self._scandots = np.zeros((n, NUM_SCANDOTS), np.float32)
+        self._clock = 0  # control steps since the environment was made
         self._episode_reward = np.zeros(n)
         self._episode_edge = np.zeros(n)
         self.simulation_errors = 0
@@ -147,11 +152,12 @@ class Go1Env:
     def reset(self, seed: int | None = None) -> tuple[np.ndarray, dict]:
         """Start new episodes of all robots; return the observation and an empty info."""
         if seed is not None:
-            # Streams of their own, drawn for all robots at once: two policies that are
-            # evaluated with one seed meet the same starts, noise and pushes.
-            self.rng, self._noise_rng, self._push_rng = (np.random.default_rng([seed, k]) for k in (2, 3, 4))
-        self._reset(np.arange(self.num_envs), None)
-        return self._observe(slice(None), self._draw_noise()), {}
+            # Noise and pushes have a stream of their own, drawn for all robots at once: two
+            # policies that are evaluated with one seed meet the same starts, noise and pushes.
+            self.rng, self._disturbance_rng = (np.random.default_rng([seed, k]) for k in (2, 3))
+        self._reset(self._everyone, None)
+        self._look(self._everyone)
+        return self._observe(slice(None), self._draw_disturbance()[:, 2:]), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
         """Advance every robot by one control step, or by ``action_repeat`` of them.
@@ -167,7 +173,8 @@ class Go1Env:
             raise ValueError(f"action has {np.count_nonzero(~np.isfinite(action))} entries that are not finite")
         c = self.config
         action = np.clip(action, -c.action_limit, c.action_limit)
-        self._push()
+        disturbance = self._draw_disturbance()
+        self._push(disturbance[:, :2])
         # q_target = q_home + scale * action
         self._ctrl[:] = DEFAULT_DOF_POS + c.action_scale * action
         last_dof_vel = self._qvel[:, 6:].copy()
@@ -198,14 +205,18 @@ class Go1Env:
             "edge": self._episode_edge.copy(),
             "course": self.course.copy(),
         }
-        noise = self._draw_noise()
-        observation = self._observe(slice(None), noise)
-        final_observation = observation
+        noise = disturbance[:, 2:]
         done = np.flatnonzero(terminated | truncated)
+        last_observation = self._observe(done, noise)
         if len(done):
-            final_observation = observation.copy()
             self._reset(done, episode["waypoints"][done] / NUM_WAYPOINTS)
-            observation[done] = self._observe(done, noise)
+        self._clock += 1
+        due = (self._everyone + self._clock) % c.scandot_period == 0
+        due[done] = True
+        self._look(np.flatnonzero(due))
+        observation = self._observe(slice(None), noise)
+        final_observation = observation.copy()
+        final_observation[done] = last_observation
         info = {
             "final_observation": final_observation,
             "episode": episode,
@@ -221,8 +232,7 @@ class Go1Env:
 
     def oracle_skill(self) -> np.ndarray:
         """(N,) skill, an index into SKILLS, that the region map names at each robot's x."""
-        i, _ = self.world.cells(self._qpos[:, 0], self._qpos[:, 1])
-        return self.world.regions[self.course, i].astype(int)
+        return self.world.regions[self.course, self.world.column(self._qpos[:, 0])].astype(int)
 
     # ------------------------------------------------------------------ simulation
 
@@ -240,13 +250,13 @@ class Go1Env:
             self.simulation_errors += int(failed.sum())
         return failed
 
-    def _push(self) -> None:
-        """Overwrite the horizontal velocity of the robots whose push is due."""
-        if not self._push_steps:
-            return
-        due = np.flatnonzero((self._step_count + self._push_offset + 1) % self._push_steps == 0)
-        v = self.config.push_velocity
-        self._qvel[due, :2] = self._push_rng.uniform(-v, v, (self.num_envs, 2))[due]
+    def _push(self, direction: np.ndarray) -> None:
+        """Overwrite the horizontal velocity of the robots whose push is due; direction (N, 2) in +-1."""
+        self._push_timer -= 1
+        due = np.flatnonzero(self._push_timer == 0)  # never, where pushes are off: it starts at 0
+        if len(due):
+            self._qvel[due, :2] = self.config.push_velocity * direction[due]
+            self._push_timer[due] = self._push_steps
 
     def _draw_course(self, ids: np.ndarray, waypoint_fraction: np.ndarray | None) -> np.ndarray:
         return self.rng.integers(0, len(self.world), len(ids))
@@ -265,46 +275,45 @@ class Go1Env:
         qpos[:, 7:] += shift[:, 3:]
         self._qpos[ids] = qpos
         self.command[ids] = rng.uniform(c.command_low, c.command_high, n)
-        self._push_offset[ids] = rng.integers(0, max(self._push_steps, 1), n)
+        if self._push_steps:
+            self._push_timer[ids] = rng.integers(1, self._push_steps + 1, n)
         for array in (
             self.waypoint_index, self._reach_timer, self._step_count, self._last_action,
             self._episode_reward, self._episode_edge, self.foot_contact, self.foot_on_edge,
         ):  # fmt: skip
             array[ids] = 0
-        self._update_kinematics(ids)
+        self.base_lin_vel[ids], self.projected_gravity[ids], self.yaw[ids] = 0.0, (0.0, 0.0, -1.0), shift[:, 2]
         self._update_goal(ids)
 
     # ------------------------------------------------------------------ state
 
-    def _update_kinematics(self, ids: np.ndarray | slice) -> None:
-        """Refresh what follows from the pose and velocity of robots ``ids``."""
-        r = rotation(self._qpos[ids, 3:7])
-        self.base_lin_vel[ids] = np.einsum("nij,ni->nj", r, self._qvel[ids, :3])  # R^T v
-        self.projected_gravity[ids] = -r[:, 2]  # R^T (0, 0, -1)
-        self.yaw[ids] = np.arctan2(r[:, 1, 0], r[:, 0, 0])
+    def _update_kinematics(self) -> None:
+        """Refresh what follows from the poses and velocities."""
+        r = rotation(self._qpos[:, 3:7])
+        self.base_lin_vel = np.einsum("nij,ni->nj", r, self._qvel[:, :3])  # R^T v
+        self.projected_gravity = -r[:, 2]  # R^T (0, 0, -1)
+        self.yaw = np.arctan2(r[:, 1, 0], r[:, 0, 0])
 
     def _update_goal(self, ids: np.ndarray | slice) -> None:
         """Refresh what follows from the pose and the waypoint index of robots ``ids``."""
-        course, index = self.course[ids], self.waypoint_index[ids]
-        for k in (1, 0):  # the current waypoint last, so that its vector stays
-            waypoint = self.world.waypoints[course, np.minimum(index + k, NUM_WAYPOINTS - 1)]
-            goal = waypoint - self._qpos[ids, :2]
-            self.heading_error[ids, k] = wrap(np.arctan2(goal[:, 1], goal[:, 0]) - self.yaw[ids])
-        self.goal[ids] = goal
+        index = self.waypoint_index[ids, None] + (0, 1)  # this waypoint and the next
+        goal = self._waypoints[self.course[ids, None], index] - self._qpos[ids, None, :2]  # (n, 2, 2)
+        self.goal[ids] = goal[:, 0]
+        self.heading_error[ids] = wrap(np.arctan2(goal[:, :, 1], goal[:, :, 0]) - self.yaw[ids, None])
 
     def _step_state(self, action: np.ndarray, last_dof_vel: np.ndarray) -> StepState:
-        self._update_kinematics(slice(None))
+        self._update_kinematics()
         self._update_goal(slice(None))
         feet = self._sensors[:, :16].reshape(-1, 4, 4)  # (N, 4, [found, force xyz])
         self.foot_contact = feet[:, :, 0] > 0
-        self.foot_on_edge = self.foot_contact & self._near_edge()
-        distance = np.maximum(np.hypot(self.goal[:, 0], self.goal[:, 1]), 1e-6)
+        self.foot_on_edge = self._near_edge()
+        self._goal_distance = np.hypot(self.goal[:, 0], self.goal[:, 1])
         return StepState(
             dt=self.config.dt,
             base_lin_vel=self.base_lin_vel,
             base_ang_vel=self._qvel[:, 3:6],
             projected_gravity=self.projected_gravity,
-            goal_velocity=(self._qvel[:, :2] * self.goal).sum(axis=1) / distance,
+            goal_velocity=(self._qvel[:, :2] * self.goal).sum(axis=1) / np.maximum(self._goal_distance, 1e-6),
             heading_error=self.heading_error[:, 0],
             command=self.command,
             on_level_course=self._level_course[self.course],
@@ -320,25 +329,29 @@ class Go1Env:
         )
 
     def _near_edge(self) -> np.ndarray:
-        """(N, 4) feet within 5 cm of an edge, sideways and in height."""
-        i, j = self.world.cells(self._foot_pos[:, :, 0], self._foot_pos[:, :, 1])
-        edge = self.world.edges[self.course[:, None], i, j]
-        return np.abs(self._foot_pos[:, :, 2] - FOOT_RADIUS - edge) < EDGE_DISTANCE
+        """(N, 4) feet in contact within 5 cm of an edge, sideways and in height."""
+        robot, foot = np.nonzero(self.foot_contact)
+        x, y, z = self._foot_pos[robot, foot].T
+        i, j = self.world.cells(x, y)
+        on_edge = np.zeros_like(self.foot_contact)
+        on_edge[robot, foot] = np.abs(z - FOOT_RADIUS - self.world.edges[self.course[robot], i, j]) < EDGE_DISTANCE
+        return on_edge
 
     def _advance_waypoints(self) -> None:
-        """Count the time near the current waypoint; move on when it has been reached."""
-        near = (self.goal**2).sum(axis=1) < self.config.waypoint_radius**2
-        self._reach_timer = np.where(near, self._reach_timer + 1, 0)
-        reached = self._reach_timer >= self._reach_steps
-        if reached.any():
-            self.waypoint_index += reached
-            self._reach_timer[reached] = 0
-            self._update_goal(np.flatnonzero(reached))
+        """Count the time near the current waypoint; move on when it has been reached.
+
+        The observation and the reward turn to the next waypoint a control step later.
+        """
+        near = self._goal_distance < self.config.waypoint_radius
+        self._reach_timer = (self._reach_timer + 1) * near
+        reached = self._reach_timer == self._reach_steps
+        self.waypoint_index += reached
+        self._reach_timer[reached] = 0
 
     def _fallen(self) -> np.ndarray:
         """(N,) tipped over, off the lane, below the support, or off the beam."""
         x, y, z = self._qpos[:, 0], self._qpos[:, 1], self._qpos[:, 2]
-        i, _ = self.world.cells(x, y)
+        i = self.world.column(x)
         tipped = self.projected_gravity[:, 2] > -np.cos(self.config.max_tilt)
         outside = (np.abs(y) > LANE_WIDTH / 2) | (x < 0)
         below = z < self.world.support[self.course, i] + 0.05
@@ -346,17 +359,16 @@ class Go1Env:
         off_beam = (self._foot_pos[:, :, 2] < FOOT_RADIUS - 0.1).all(axis=1)
         return tipped | outside | below | (off_beam & self.world.over_beam[self.course, i])
 
-    def _draw_noise(self) -> np.ndarray | None:
-        """(N, 53) uniform observation noise, None where it is off."""
-        if not self.config.noise:
-            return None
-        noise = self._noise_rng.random((self.num_envs, len(NOISE)), np.float32)
-        noise -= 0.5
-        noise *= 2.0 * self.config.noise * NOISE
-        return noise
+    def _look(self, ids: np.ndarray | slice) -> None:
+        """Refresh the scandots of robots ``ids``."""
+        self._scandots[ids] = scandots(self.world, self.course[ids], self._qpos[ids, :3], self.yaw[ids])
 
-    def _observe(self, ids: np.ndarray | slice, noise: np.ndarray | None) -> np.ndarray:
-        """(n, 184) observation of robots ``ids``, noise included, a fresh array."""
+    def _draw_disturbance(self) -> np.ndarray:
+        """(N, 2 + 53) uniform in +-1: direction of a push, then the observation noise."""
+        return 2.0 * self._disturbance_rng.random((self.num_envs, 2 + len(NOISE)), np.float32) - 1.0
+
+    def _observe(self, ids: np.ndarray | slice, noise: np.ndarray) -> np.ndarray:
+        """(n, 184) observation of robots ``ids``, a fresh array; noise (N, 53) in +-1."""
         observation = np.concatenate(
             [
                 self.base_lin_vel[ids],  # 3
@@ -368,12 +380,13 @@ class Go1Env:
                 self._qvel[ids, 6:],  # 12
                 self._last_action[ids],  # 12
                 self.foot_contact[ids],  # 4
-                scandots(self.world, self.course[ids], self._qpos[ids, :3], self.yaw[ids]),  # 132
+                self._scandots[ids],  # 132
             ],
             axis=1,
             dtype=np.float32,
         )
-        if noise is not None:
-            observation[:, : SCANDOTS.start] += noise[ids, :-1]
-            observation[:, SCANDOTS] += noise[ids, -1:]
+        if self.config.noise:
+            noise = noise[ids] * (self.config.noise * NOISE)
+            observation[:, : SCANDOTS.start] += noise[:, :-1]
+            observation[:, SCANDOTS] += noise[:, -1:]
         return observation

@@ -115,7 +115,7 @@ def dof_error(s: StepState) -> np.ndarray:
 
 def collision(s: StepState) -> np.ndarray:
     """Number of trunk, thighs and calves that touch the terrain."""
-    return s.body_contact.sum(axis=1, dtype=np.float64)
+    return np.count_nonzero(s.body_contact, axis=1).astype(np.float64)
 
 
 def feet_stumble(s: StepState) -> np.ndarray:
@@ -126,7 +126,7 @@ def feet_stumble(s: StepState) -> np.ndarray:
 
 def feet_edge(s: StepState) -> np.ndarray:
     """Number of feet in contact within 5 cm of an edge."""
-    return s.foot_on_edge.sum(axis=1, dtype=np.float64)
+    return np.count_nonzero(s.foot_on_edge, axis=1).astype(np.float64)
 
 
 def alive(s: StepState) -> np.ndarray:

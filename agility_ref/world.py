@@ -147,8 +147,11 @@ class World:
         """(C,) difficulty of every course."""
         return np.array([c.difficulty for c in self.courses])
 
+    def column(self, x: np.ndarray) -> np.ndarray:
+        """Return grid index along x of points [m]; outside the lane, that of its border."""
+        return np.minimum(np.maximum((x * (1 / CELL)).astype(np.int32), 0), GRID_SHAPE[0] - 1)
+
     def cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return grid indices of points [m]; outside the lane, those of its border."""
-        i = np.clip((x * (1 / CELL)).astype(np.int32), 0, GRID_SHAPE[0] - 1)
-        j = np.clip(((y + LANE_WIDTH / 2) * (1 / CELL)).astype(np.int32), 0, GRID_SHAPE[1] - 1)
-        return i, j
+        j = ((y + LANE_WIDTH / 2) * (1 / CELL)).astype(np.int32)
+        return self.column(x), np.minimum(np.maximum(j, 0), GRID_SHAPE[1] - 1)

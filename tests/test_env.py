@@ -259,10 +259,12 @@ def test_wrap():
 
 @pytest.mark.parametrize("kind", COURSE_KINDS)
 def test_scandots_against_a_loop_over_boxes(kind):
-    env = make_env(kind, n=6, d=0.8)
+    env = make_env(kind, n=6, d=0.8, config=replace(CLEAN, scandot_period=1))
     rng = np.random.default_rng(1)
     for robot in range(6):
-        stand(env, robot, rng.uniform(1.0, 17.0), rng.uniform(-1.5, 1.5), z=1.5, yaw=rng.uniform(-3, 3))
+        x, y = rng.uniform(1.0, 17.0), rng.uniform(-1.5, 1.5)
+        support = env.world.support[robot % 2, env.world.column(np.array(x))]
+        stand(env, robot, x, y, z=support + 0.4, yaw=rng.uniform(-3, 3))
     # The robots fall freely for one step; the last observation is of the pose they are in then.
     poses = []
     simulate = env._simulate
@@ -486,12 +488,26 @@ def test_last_waypoint_truncates():
     assert (env.waypoint_index == 0).all()  # reset in the same step
 
 
+def test_robots_look_at_the_ground_in_turn():
+    period = EnvConfig().scandot_period
+    env = make_env("gap", n=2 * period)
+    before = env.reset(0)[0][:, SCANDOTS]
+    looked = []
+    for _ in range(period):
+        after = env.step(still(env))[0][:, SCANDOTS]
+        looked.append((after != before).any(axis=1))
+        before = after
+    np.testing.assert_array_equal(np.sum(looked, axis=0), 1)  # every robot once in a period ...
+    np.testing.assert_array_equal(np.sum(looked, axis=1), 2)  # ... and equally many each step
+
+
 def test_goal_turns_to_the_next_waypoint():
     env = make_env("walk", d=0.0)
     for _ in range(5):
         obs, *_ = near_waypoint(env)
     index = env.waypoint_index
     assert (index == 1).all()
+    obs, *_ = env.step(still(env))  # the observation turns a control step later
     goal = env.world.waypoints[env.course, index] - env.base_pos[:, :2]
     np.testing.assert_allclose(
         obs[:, SLICES["heading_error"]][:, 0], wrap(np.arctan2(goal[:, 1], goal[:, 0]) - env.yaw), atol=1e-5
