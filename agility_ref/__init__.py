@@ -4,7 +4,7 @@ Start at :mod:`agility_ref.terrain`; every module imports only from those before
 errors, terrain, world, go1, rewards, observation, task, curriculum, env, checkpoint,
 policies, weights, networks, ppo, selector, evaluate, stats, plots, progress, runs, table1;
 then the pictures: record, silhouette, pictures, panels, gallery, graphics, scene, video,
-viewer; and last cli_pictures and cli.
+viewer, window; and last cli_pictures and cli.
 """
 
 import os

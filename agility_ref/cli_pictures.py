@@ -276,6 +276,8 @@ def watch(argv: list[str]) -> None:
 
         port: int = 8080
         """Port to listen on; the next free one if it is taken."""
+        window: bool = False
+        """Open a native window instead, where there is a display."""
         html: str = ""
         """Write one episode as a standalone page to this file instead."""
         seconds: float = 10.0
@@ -287,4 +289,9 @@ def watch(argv: list[str]) -> None:
         print(f"{clip(episode, Path(args.html), args.seconds)}: {episode.summary()}")
         return
     policy, config = args.load()
-    serve(policy, args.environment, config, args.port)
+    if args.window:
+        from agility_ref.window import show
+
+        show(policy, args.environment, config)
+    else:
+        serve(policy, args.environment, config, args.port)

@@ -8,6 +8,7 @@ agility-ref plot framework --out docs/figures/framework.png
 agility-ref plot skills --preset quick --difficulty 0.3 --out docs/figures/skills.png
 agility-ref plot strobe oracle --environment climb-gap --preset quick --difficulty 0.3 --out docs/figures/strobe.png
 agility-ref plot strobe walk --environment walk --preset quick --out docs/figures/strobe-walk.png
+agility-ref plot strobe gen-5 --environment beam --preset quick --out docs/figures/strobe-beam.png
 agility-ref plot oracle-map oracle --environment climb-gap --preset quick --out docs/figures/oracle-map.png
 agility-ref plot oracle-map ps-rl-3 --environment climb-gap --preset quick --out docs/figures/selector-map.png
 agility-ref plot episode walk --environment walk --preset quick --out docs/figures/episode.png
@@ -15,4 +16,5 @@ if [ -d runs/quick ]; then
   agility-ref plot curves runs/quick/gen-3/seed* runs/quick/climb/seed* runs/quick/leap/seed* runs/quick/walk/seed* --out docs/figures/curves.png
 fi
 agility-ref video oracle --environment climb-gap --preset quick --difficulty 0.3 --seconds 6 --fps 16 --width 400 --height 300 --quality 50 --out docs/figures/oracle.webp
+agility-ref video gen-5 --environment beam --preset quick --seconds 6 --fps 16 --width 400 --height 300 --quality 50 --out docs/figures/beam.webp
 rm -f docs/figures/*.svg
