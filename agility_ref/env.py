@@ -19,8 +19,6 @@ from agility_ref.terrain import LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X
 from agility_ref.world import EDGE_DISTANCE, World
 
 ACTION_DIM = 12
-
-
 DIVERGED = [
     int(w)
     for w in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
@@ -207,8 +205,8 @@ class Go1Env:
         }
         noise = disturbance[:, 2:]
         done = np.flatnonzero(terminated | truncated)
-        last_observation = self._observe(done, noise)
         if len(done):
+            last_observation = self._observe(done, noise)
             self._reset(done, episode["waypoints"][done] / NUM_WAYPOINTS)
         self._clock += 1
         due = (self._everyone + self._clock) % c.scandot_period == 0
@@ -216,7 +214,8 @@ class Go1Env:
         self._look(np.flatnonzero(due))
         observation = self._observe(slice(None), noise)
         final_observation = observation.copy()
-        final_observation[done] = last_observation
+        if len(done):
+            final_observation[done] = last_observation
         info = {
             "final_observation": final_observation,
             "episode": episode,
