@@ -50,7 +50,7 @@ class Normalizer:
         return np.clip((observation - self.mean) / np.sqrt(self.var + 1e-8), -5.0, 5.0)
 
 
-def _mlp(sizes: list[int], last_gain: float) -> nn.Sequential:
+def mlp(sizes: list[int], last_gain: float) -> nn.Sequential:
     """Linear layers with ELU between, orthogonal weights, zero biases."""
     modules: list[nn.Module] = []
     for i, (n_in, n_out) in enumerate(itertools.pairwise(sizes)):
@@ -68,8 +68,8 @@ class ActorCritic(nn.Module):
     def __init__(self, obs_dim: int, act_dim: int, hidden: tuple[int, ...], init_std: float):
         super().__init__()
         # A last layer 100 times smaller starts every policy near the home pose.
-        self.actor = _mlp([obs_dim, *hidden, act_dim], 0.01)
-        self.critic = _mlp([obs_dim, *hidden, 1], 1.0)
+        self.actor = mlp([obs_dim, *hidden, act_dim], 0.01)
+        self.critic = mlp([obs_dim, *hidden, 1], 1.0)
         self.log_std = nn.Parameter(torch.full((act_dim,), float(np.log(init_std))))
 
     def value(self, obs: torch.Tensor) -> torch.Tensor:
@@ -103,15 +103,16 @@ class Gaussian:
     """The action distribution of the skills: continuous joint offsets."""
 
     @staticmethod
-    def sample(net: ActorCritic, obs: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """Draw actions (n, a)."""
+    def parameters(net: ActorCritic, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return mean and log standard deviation, both (n, a); the latter is the same in every state."""
         mean = net.actor(obs)
-        return mean + torch.exp(net.log_std) * torch.randn(mean.shape, generator=generator)
+        return mean, net.log_std.expand_as(mean)
 
     @staticmethod
-    def parameters(net: ActorCritic, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return mean (n, a) and log standard deviation (a,)."""
-        return net.actor(obs), net.log_std
+    def sample(parameters: tuple, generator: torch.Generator) -> torch.Tensor:
+        """Draw actions (n, a)."""
+        mean, log_std = parameters
+        return mean + torch.exp(log_std) * torch.randn(mean.shape, generator=generator)
 
     @staticmethod
     def log_prob(parameters: tuple, action: torch.Tensor) -> torch.Tensor:
@@ -120,8 +121,8 @@ class Gaussian:
 
     @staticmethod
     def entropy(parameters: tuple) -> torch.Tensor:
-        """Return the entropy, a scalar: it does not depend on the state."""
-        return gaussian_entropy(parameters[1])
+        """Return the entropy, mean over states."""
+        return gaussian_entropy(parameters[1]).mean()
 
     @staticmethod
     def kl(old: tuple, new: tuple) -> torch.Tensor:
@@ -133,14 +134,14 @@ class Categorical:
     """The action distribution of the selector: one skill index (paper section 3.2)."""
 
     @staticmethod
-    def sample(net: ActorCritic, obs: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """Draw indices (n,)."""
-        return torch.multinomial(torch.softmax(net.actor(obs), -1), 1, generator=generator).squeeze(-1)
-
-    @staticmethod
     def parameters(net: ActorCritic, obs: torch.Tensor) -> tuple[torch.Tensor]:
         """Return log probabilities (n, k)."""
         return (torch.log_softmax(net.actor(obs), -1),)
+
+    @staticmethod
+    def sample(parameters: tuple, generator: torch.Generator) -> torch.Tensor:
+        """Draw indices (n,)."""
+        return torch.multinomial(parameters[0].exp(), 1, generator=generator).squeeze(-1)
 
     @staticmethod
     def log_prob(parameters: tuple, action: torch.Tensor) -> torch.Tensor:

@@ -30,12 +30,10 @@ class PPOConfig:
     """Weight of longer returns in the advantage; usual 0.9 to 0.97."""
     clip_coef: float = 0.2
     """How far the policy ratio may move before its gradient stops; usual 0.1 to 0.3."""
-    vf_coef: float = 0.5
-    """Weight of the value loss; usual 0.5 to 1."""
     ent_coef: float = 0.005
     """Weight of the entropy bonus; usual 0 to 0.01."""
     max_grad_norm: float = 1.0
-    """Gradients are scaled down to this norm; usual 0.5 to 1."""
+    """Gradients of actor and of critic are each scaled down to this norm; usual 0.5 to 1."""
     learning_rate: float = 1e-3
     """Start of the adaptive rate; usual 3e-4 to 1e-3."""
     learning_rate_min: float = 1.5e-4

@@ -167,13 +167,13 @@ def fit_selector(
     import torch
     from torch import nn
 
-    from agility_ref.networks import Normalizer, _mlp
+    from agility_ref.networks import Normalizer, mlp
 
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     normalizer = Normalizer(scandots.shape[1], slice(0, scandots.shape[1]), 0.3)
-    net = _mlp([scandots.shape[1], *config.hidden, num_skills], 0.01)
+    net = mlp([scandots.shape[1], *config.hidden, num_skills], 0.01)
     optimizer = torch.optim.Adam(net.parameters(), config.learning_rate, fused=True)
     x, y = torch.from_numpy(normalizer(scandots)), torch.from_numpy(labels)
     losses = []

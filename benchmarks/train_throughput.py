@@ -124,9 +124,8 @@ def inference(learner: Learner, observation: np.ndarray, rounds: int) -> dict:
     @torch.inference_mode()
     def in_torch() -> None:
         for _ in range(20):
-            learner.distribution.sample(
-                learner.net, torch.from_numpy(learner.normalizer(observation)), learner.generator
-            )
+            obs = torch.from_numpy(learner.normalizer(observation))
+            learner.distribution.sample(learner.distribution.parameters(learner.net, obs), learner.generator)
 
     std, rng = np.exp(learner.net.log_std.detach().numpy()), np.random.default_rng(0)
 

@@ -157,7 +157,7 @@ def their_turns(race: Race, config: Config) -> Callable[[], None]:
         gae_lambda=ppo.gae_lambda,
         clip_range=ppo.clip_coef,
         ent_coef=ppo.ent_coef,
-        vf_coef=ppo.vf_coef,
+        vf_coef=0.5,
         max_grad_norm=ppo.max_grad_norm,
         policy_kwargs={
             "net_arch": {"pi": hidden, "vf": hidden},

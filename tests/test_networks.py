@@ -78,11 +78,11 @@ def test_gaussian_samples_have_the_stated_moments():
     net = ActorCritic(2, 3, (8,), init_std=0.5)
     obs = torch.randn(1, 2).expand(20_000, 2)
     with torch.no_grad():
-        samples = Gaussian.sample(net, obs, torch.Generator().manual_seed(0))
         mean, log_std = Gaussian.parameters(net, obs)
+        samples = Gaussian.sample((mean, log_std), torch.Generator().manual_seed(0))
     torch.testing.assert_close(samples.mean(0), mean[0], atol=0.02, rtol=0)
     torch.testing.assert_close(samples.std(0), torch.full((3,), 0.5), atol=0.02, rtol=0)
-    torch.testing.assert_close(log_std.exp(), torch.full((3,), 0.5))
+    torch.testing.assert_close(log_std.exp(), torch.full((20_000, 3), 0.5))
 
 
 # --- Categorical -----------------------------------------------------------------------
@@ -115,8 +115,8 @@ def test_categorical_samples_have_the_stated_frequencies():
     with torch.no_grad():
         net.actor[-1].bias[:] = torch.tensor([0.0, 1.0, 2.0, -1.0])
         obs = torch.zeros(20_000, 2)
-        index = Categorical.sample(net, obs, torch.Generator().manual_seed(0))
         (log_p,) = Categorical.parameters(net, obs)
+        index = Categorical.sample((log_p,), torch.Generator().manual_seed(0))
     assert index.shape == (20_000,)
     torch.testing.assert_close(torch.bincount(index, minlength=4) / 20_000, log_p[0].exp(), atol=0.02, rtol=0)
 
