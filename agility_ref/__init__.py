@@ -2,9 +2,10 @@
 
 Start at :mod:`agility_ref.terrain`; every module imports only from those before it:
 errors, terrain, world, go1, rewards, observation, task, curriculum, env, checkpoint,
-policies, weights, networks, ppo, selector, evaluate, stats, plots, progress, runs, table1;
-then the pictures: record, silhouette, pictures, panels, gallery, graphics, scene, video,
-viewer, window; and last cli_pictures and cli.
+policies, progress, weights, networks, ppo, selector, evaluate, stats, plots, runs, cells,
+table1, table_output, verdicts, evidence, findings, trace, odd_behaviours, diagnosis; then the
+pictures: diagnosis_figures, record, silhouette, pictures, panels, gallery, graphics, scene,
+video, viewer, window; and last cli_diagnose, cli_pictures and cli.
 """
 
 import os

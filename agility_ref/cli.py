@@ -1,4 +1,4 @@
-"""The command line: ``agility-ref train | evaluate | table1 | plot | video | watch | list``.
+"""The command line: ``agility-ref train | evaluate | table1 | diagnose | plot | video | watch | list``.
 
 Every hyper-parameter is a flag, because every configuration is a frozen dataclass that
 tyro reads; the help text is the docstring of the field.  A mistake of the user prints one
@@ -7,12 +7,13 @@ line and exits with status 2.
 
 import json
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from agility_ref.cli_diagnose import diagnose
 from agility_ref.cli_pictures import plot, video, watch
 from agility_ref.errors import UserError, unknown_name
 
@@ -20,7 +21,8 @@ USAGE = """usage: agility-ref COMMAND [--help]
 
   train POLICY                       train a policy (and what it needs)
   evaluate POLICY --environment E    the four metrics of Table 1
-  table1                             all 43 cells beside the paper's
+  table1                             all 43 cells beside the paper's, and its findings
+  diagnose SELECTOR                  its choices against the oracle's: accuracy, flicker, regret
   plot KIND                          curves, strobe, oracle-map, episode, courses, skills, framework
   video POLICY --environment E       an episode as WebP, GIF or MP4
   watch POLICY --environment E       a live view in the browser
@@ -80,44 +82,68 @@ def evaluate(argv: list[str]) -> None:
 
 
 def table1(argv: list[str]) -> None:
-    """Compute Table 1."""
-    from agility_ref import table1 as table
+    """Compute Table 1, and what it says about the paper's findings."""
+    from agility_ref import findings, table1, table_output, verdicts
     from agility_ref.evaluate import EvaluationConfig
     from agility_ref.runs import TrainConfig
 
     @dataclass(frozen=True)
     class Table1:
-        """Evaluate every policy on every terrain and print the table beside the paper's."""
+        """Evaluate every policy on every terrain and print the table beside the paper's.
+
+        Cells are stored as they are played: an interrupted table goes on where it was.
+        """
 
         config: Annotated[EvaluationConfig, tyro.conf.arg(name="")] = field(default_factory=EvaluationConfig)
+        seeds: tuple[str, ...] = ("0",)
+        """Training seeds of the weights: 0, or 0 1 2, or all for every seed that has weights."""
         train: bool = False
         """Train every policy first, from scratch; finished runs in --out are kept."""
-        train_seed: int = 0
-        """Training seed of the weights."""
+        findings: bool = False
+        """Also check each finding of sections 4.2 and 4.3; writes findings.md."""
+        ablations: str = "benchmarks/results/ablations.csv"
+        """Ablations for the findings, where measured: ablation,policy,seed,steps,waypoint_fraction."""
         out: str = ""
         """Folder of runs; runs/<preset> by default."""
         results: str = "results"
-        """Folder for table1.csv, table1.md and table1.png."""
+        """Folder for table1.csv, .md, .tex and .png, and for the cells behind them."""
 
     args = tyro.cli(Table1, args=argv, prog="agility-ref table1")
-    training = TrainConfig(preset=args.config.preset, seed=args.train_seed, out=args.out)
-    if args.train:
-        table.train_all(training)
+    seeds, config, results = table1.parse_seeds(args.seeds), args.config, Path(args.results)
+    if args.train and seeds is None:
+        raise UserError("--train needs the numbers of the seeds: all are those that have weights already")
+    if args.findings and config.protocol != "complete":
+        raise UserError(f"findings compare episode by episode: --protocol complete, not {config.protocol}")
+    training = TrainConfig(preset=config.preset, out=args.out)
+    for seed in seeds if args.train else ():
+        table1.train_all(replace(training, seed=seed))
 
-    def on_cell(environment: str, policy: str) -> None:
-        print(f"\revaluating {policy} on {environment}" + " " * 20, end="", file=sys.stderr, flush=True)
+    def on_play(policy: str, environment: str, seed: int) -> None:
+        line = f"evaluating {policy} on {environment}, training seed {seed}"
+        print(f"\r{line:70}", end="", file=sys.stderr, flush=True)
 
-    cells, missing = table.compute(args.config, training, on_cell)
-    print("\r" + " " * 60 + "\r", end="", file=sys.stderr)
-    print(table.text(cells))
+    clear = f"\r{'':70}\r"
+    try:
+        cells, missing = table1.compute(config, training, results / "cells", seeds, on_play)
+    except KeyboardInterrupt:
+        print(clear, end="", file=sys.stderr)
+        raise KeyboardInterrupt(f"interrupted; the same command goes on from {results / 'cells'}") from None
+    print(clear, end="", file=sys.stderr)
+    rows = table1.table_rows(cells)
+    print(table_output.text(rows))
     for line in missing:
         print(f"missing: {line}")
-    filled = sum(cell["ours"] is not None for cell in cells.values())
-    title = (
-        f"Table 1, preset {args.config.preset}, {args.config.episodes} episodes a cell, training seed {args.train_seed}"
+    paths = table_output.write_all(rows, results, table_output.title(config, rows))
+    filled = [sum(row.ours is not None for row in rows if (row.paper is None) == extra) for extra in (False, True)]
+    extra = sum(row.paper is None for row in rows)
+    print(
+        f"{filled[0]} of {len(rows) - extra} cells filled, and {filled[1]} of {extra} beyond the paper; "
+        f"mean ± std over episodes; wrote {', '.join(map(str, paths))}"
     )
-    paths = table.write_all(cells, Path(args.results), title)
-    print(f"{filled} of {len(cells)} cells filled; mean ± std over episodes; wrote {', '.join(map(str, paths))}")
+    if args.findings:
+        checked = findings.check(cells, training, Path(args.ablations))
+        path = findings.write(checked, results, table_output.title(config, rows))
+        print(f"\n{verdicts.text(checked)}\n\nwrote {path}")
 
 
 def list_names(argv: list[str]) -> None:
@@ -139,7 +165,7 @@ def list_names(argv: list[str]) -> None:
 
 
 COMMANDS = {
-    "train": train, "evaluate": evaluate, "table1": table1, "plot": plot,
+    "train": train, "evaluate": evaluate, "table1": table1, "diagnose": diagnose, "plot": plot,
     "video": video, "watch": watch, "list": list_names,
 }  # fmt: skip
 

@@ -78,7 +78,8 @@ def plot_runs(argv: list[str]) -> None:
 
 def plot_curves(argv: list[str]) -> None:
     """Draw learning curves."""
-    from agility_ref.plots import learning_curves, read_progress
+    from agility_ref.plots import learning_curves
+    from agility_ref.progress import read_progress
 
     @dataclass(frozen=True)
     class Curves:

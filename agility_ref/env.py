@@ -13,6 +13,7 @@ from mujoco import batch
 
 from agility_ref.go1 import DEFAULT_DOF_POS, FOOT_RADIUS, STAND_HEIGHT, make_model
 from agility_ref.observation import NOISE, NUM_SCANDOTS, SCANDOTS, rotation, scandots, wrap
+from agility_ref.placement import Placement
 from agility_ref.rewards import StepState, compute_reward
 from agility_ref.task import EnvConfig
 from agility_ref.terrain import LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X
@@ -57,7 +58,8 @@ class Go1Env:
     joints are perturbed a little.  A new command is drawn.
 
     **Terminated**: tipped over (tilt above ``max_tilt``), left the lane, trunk below the
-    surface that should carry it, or, over a beam's span, no foot at the beam's height.
+    surface that should carry it, or, over a beam's span, no foot at the beam's height; in
+    training also after ``stall_seconds`` without a waypoint.
 
     **Truncated**: 20 s, or the last waypoint reached.
 
@@ -96,6 +98,7 @@ class Go1Env:
         self.next_course = next_course or self._draw_course
         self.max_steps = round(config.episode_seconds / config.dt)
         self._reach_steps = round(config.waypoint_seconds / config.dt)
+        self._stall_steps = round(config.stall_seconds / config.dt)
         self._push_steps = round(config.push_interval / config.dt)
         self._level_course = world.kinds == "walk"
         last = world.waypoints[:, -1:]
@@ -114,11 +117,12 @@ class Go1Env:
             for course in world.courses
         ]
         self.batch = batch.Batch(self.models[0], num_envs, num_threads)
+        self._placement = Placement(self.batch, self.models)
         self.batch.reset(keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._home, self._start = self.models[0].key_qpos[0].copy(), self.batch.state[0].copy()
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._ctrl = self.batch.bind("ctrl")
-        self._sensors = self.batch.bind("sensordata")  # (N, 25), see go1.make_xml
+        self._sensors = self.batch.bind("sensordata")  # (N, 37), see go1.make_xml
         self._foot_pos = self.batch.bind("site_xpos")  # (N, 4, 3)
         self._torque = self.batch.bind("actuator_force")  # (N, 12)
 
@@ -136,6 +140,7 @@ class Go1Env:
         self.foot_on_edge = np.zeros((n, 4), bool)
         self._reach_timer = np.zeros(n, int)
         self._step_count = np.zeros(n, int)
+        self._reach_step = np.zeros(n, int)  # step count at the last waypoint
         self._push_timer = np.zeros(n, int)  # control steps until the next push
         self._last_action = np.zeros((n, ACTION_DIM))
         self._scandots = np.zeros((n, NUM_SCANDOTS), np.float32)
@@ -190,7 +195,10 @@ class Go1Env:
         self._step_count += 1
         self._advance_waypoints()
         finished = self.waypoint_index >= NUM_WAYPOINTS
-        terminated = (self._fallen() | failed) & ~finished
+        terminated = self._fallen() | failed
+        if self._stall_steps:
+            terminated |= self._step_count - self._reach_step >= self._stall_steps
+        terminated &= ~finished
         truncated = ~terminated & (finished | (self._step_count >= self.max_steps))
 
         self._episode_reward += reward
@@ -263,10 +271,13 @@ class Go1Env:
     def _reset(self, ids: np.ndarray, waypoint_fraction: np.ndarray | None) -> None:
         n, rng, c = len(ids), self.rng, self.config
         self.course[ids] = self.next_course(ids, waypoint_fraction)
-        self.batch.set_models([self.models[k] for k in self.course.tolist()])
+        self._placement.place(ids, self.course[ids])
         self.batch.state[ids] = self._start  # the home pose, at rest, no warm start
         shift = rng.uniform(-0.1, 0.1, (n, 3 + ACTION_DIM))  # x, y [m], yaw, joints [rad]
         qpos = np.tile(self._home, (n, 1))
+        if c.turned_start_share:
+            turned = rng.random(n) < c.turned_start_share
+            shift[turned, 2] = rng.uniform(-np.pi, np.pi, np.count_nonzero(turned))
         qpos[:, 0] = SPAWN_X + shift[:, 0]
         qpos[:, 1] = shift[:, 1]
         qpos[:, 2] = STAND_HEIGHT + 0.02
@@ -277,7 +288,7 @@ class Go1Env:
         if self._push_steps:
             self._push_timer[ids] = rng.integers(1, self._push_steps + 1, n)
         for array in (
-            self.waypoint_index, self._reach_timer, self._step_count, self._last_action,
+            self.waypoint_index, self._reach_timer, self._reach_step, self._step_count, self._last_action,
             self._episode_reward, self._episode_edge, self.foot_contact, self.foot_on_edge,
         ):  # fmt: skip
             array[ids] = 0
@@ -304,6 +315,7 @@ class Go1Env:
         self._update_kinematics()
         self._update_goal(slice(None))
         feet = self._sensors[:, :16].reshape(-1, 4, 4)  # (N, 4, [found, force xyz])
+        foot_vel = self._sensors[:, 25:].reshape(-1, 4, 3)
         self.foot_contact = feet[:, :, 0] > 0
         self.foot_on_edge = self._near_edge()
         self._goal_distance = np.hypot(self.goal[:, 0], self.goal[:, 1])
@@ -312,6 +324,7 @@ class Go1Env:
             base_lin_vel=self.base_lin_vel,
             base_ang_vel=self._qvel[:, 3:6],
             projected_gravity=self.projected_gravity,
+            speed=np.hypot(self._qvel[:, 0], self._qvel[:, 1]),
             goal_velocity=(self._qvel[:, :2] * self.goal).sum(axis=1) / np.maximum(self._goal_distance, 1e-6),
             heading_error=self.heading_error[:, 0],
             command=self.command,
@@ -324,8 +337,15 @@ class Go1Env:
             last_action=self._last_action,
             foot_force=-feet[:, :, 1:],  # the sensor gives the foot's force on the ground
             foot_on_edge=self.foot_on_edge,
-            body_contact=self._sensors[:, 16:] > 0,
+            foot_speed=np.hypot(foot_vel[:, :, 0], foot_vel[:, :, 1]),
+            foot_clearance=self._foot_clearance(),
+            body_contact=self._sensors[:, 16:25] > 0,
         )
+
+    def _foot_clearance(self) -> np.ndarray:
+        """(N, 4) height of the feet's lowest points over the ground under them [m]."""
+        i, j = self.world.cells(self._foot_pos[:, :, 0], self._foot_pos[:, :, 1])
+        return self._foot_pos[:, :, 2] - FOOT_RADIUS - self.world.heights[self.course[:, None], i, j]
 
     def _near_edge(self) -> np.ndarray:
         """(N, 4) feet in contact within 5 cm of an edge, sideways and in height."""
@@ -345,6 +365,7 @@ class Go1Env:
         self._reach_timer = (self._reach_timer + 1) * near
         reached = self._reach_timer == self._reach_steps
         self.waypoint_index += reached
+        self._reach_step[reached] = self._step_count[reached]
         self._reach_timer[reached] = 0
 
     def _fallen(self) -> np.ndarray:

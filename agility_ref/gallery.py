@@ -67,7 +67,7 @@ def course_gallery(kinds: tuple[str, ...] = COURSE_KINDS, seed: int = 3):
 
 def _dimension(axis, start: tuple[float, float], end: tuple[float, float]) -> None:
     """Draw a double arrow."""
-    arrow = {"arrowstyle": "<->", "color": BLUE, "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
+    arrow = {"arrowstyle": "<->", "color": BLUE, "lw": 1.3, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8}
     axis.annotate("", start, end, arrowprops=arrow)
 
 
@@ -75,7 +75,7 @@ def _draw_profile(axis, course: Course) -> None:
     """Side view along the middle of the lane, with one robot for scale."""
     d, kind = course.difficulty, course.kind
     ground = ground_along(course, X, np.zeros_like(X))
-    draw_ground(axis, ground, ground, VIEW[kind][0])
+    draw_ground(axis, ground, height_map(course), VIEW[kind][0])
     robot = Robot(course)
     home = robot.model.key_qpos[0].copy()
     home[0], home[2] = 2.05, STAND_HEIGHT
@@ -100,14 +100,13 @@ def _draw_profile(axis, course: Course) -> None:
             _dimension(axis, (x0, before + 0.08), (x1, before + 0.08))
             axis.text(x0, before + 0.26, f"{gap_width(d):.2f} m wide", **text)
             _dimension(axis, (x1 + 0.08, before), (x1 + 0.08, floor))
-            axis.text(x1 + 0.16, min((before + floor) / 2, before - 0.27), f"{pit_depth(d):.2f} m\ndeep", **text)
+            low = min((before + floor) / 2, before - 0.27)
+            axis.text(x1 + 0.13, low, f"{pit_depth(d):.2f} m\ndeep", **text | {"fontsize": 10})  # pits may be near
         else:
-            up = obstacle.skill == "climb-up"
-            after = before + step_height(d) * (1 if up else -1)
+            after = before + step_height(d) * (1 if obstacle.skill == "climb-up" else -1)
             _dimension(axis, (x0 + 0.1, before), (x0 + 0.1, after))
-            middle = (before + after) / 2
-            height = min(middle, after - 0.15) if up else max(middle, after + 0.15)
-            axis.text(x0 + 0.18, height, f"{step_height(d):.3g} m", **text)
+            # above the arrow and whatever ground is near: numbers on white are read at any size
+            axis.text(x0 + 0.02, max(before, after) + 0.17, f"{step_height(d):.2f} m", **text)
 
 
 def _draw_beams(axis, course: Course) -> None:
@@ -117,7 +116,7 @@ def _draw_beams(axis, course: Course) -> None:
     axis.set(xlim=SHOWN, ylim=VIEW["beam"])
     first = course.obstacles[0]
     x, y, half = (first.x0 + first.x1) / 2, course.waypoints[1, 1], beam_width(course.difficulty) / 2
-    _dimension(axis, (x + 0.15, y - half), (x + 0.15, y + half))
+    _dimension(axis, (x + 0.25, y - half), (x + 0.25, y + half))
     axis.text(x, y - half - 0.05, f"{2 * half:.2f} m", ha="center", va="top", color="white", fontsize=11)
     axis.text(x, 0.68, "-0.20 m", ha="center", va="top", color="white", fontsize=10.5)
     axis.plot(*course.waypoints.T, "D", color="white", markeredgecolor="black", markersize=6)
@@ -149,7 +148,7 @@ def skills_figure(episodes: dict[str, Episode], length: float = 2.3):
             axis.set(ylim=(base - 0.60, base + 0.95), aspect="equal")
             axis.grid(visible=False)
             axis.spines[:].set_visible(False)
-            draw_ground(axis, ground, height_map(episode.course).max(axis=1), base - 0.60)
+            draw_ground(axis, ground, height_map(episode.course), base - 0.60)
             robot = Robot(episode.course)
             for k, place in enumerate(middle + np.array([-0.85, -0.05, 0.75])):
                 t = int(np.argmin(np.abs(x - place)))
@@ -177,8 +176,8 @@ def framework_figure():
             (1.8, "heading, commanded speed\n3 numbers", SKY),
         ]
         for y, text, colour in inputs:
-            _block(axis, 0.2, y, 2.7, 0.85, text, colour)
-            _arrow(axis, (2.9, y + 0.42), (3.75, 3.27 + 0.25 * (y - 2.85)))
+            _block(axis, 0.1, y, 2.9, 0.85, text, colour)
+            _arrow(axis, (3.0, y + 0.42), (3.75, 3.27 + 0.25 * (y - 2.85)))
         _block(
             axis,
             3.75,
@@ -199,17 +198,12 @@ def framework_figure():
         _block(axis, 9.75, 2.5, 2.05, 1.0, "12 joint targets\nat 50 Hz", GREY)
         _block(axis, 9.75, 0.3, 2.05, 1.0, "Go1 on the course\n(MuJoCo)", GREEN)
         _arrow(axis, (10.77, 2.5), (10.77, 1.3))
-        axis.annotate(
-            "", (1.55, 1.8), (9.75, 0.55),
-            arrowprops={"arrowstyle": "->", "lw": 1.6, "connectionstyle": "angle,angleA=180,angleB=90"},
-        )  # fmt: skip
-        axis.text(5.0, 0.72, "observation", ha="center", fontsize=11)
-        axis.annotate(
-            "", (4.8, 2.45), (9.75, 1.05),
-            arrowprops={"arrowstyle": "->", "lw": 1.6, "ls": "--", "color": PURPLE,
-                        "connectionstyle": "angle,angleA=180,angleB=90"},
-        )  # fmt: skip
-        axis.text(5.0, 1.25, "reward, to train the PPO selector", fontsize=11, color=PURPLE)
+        axis.plot([9.75, 1.55], [0.55, 0.55], color="black", linewidth=1.6)
+        _arrow(axis, (1.55, 0.55), (1.55, 1.8))
+        axis.text(5.0, 0.68, "observation", ha="left", fontsize=11)
+        axis.plot([9.75, 4.8], [1.05, 1.05], color=PURPLE, linewidth=1.6)
+        _arrow(axis, (4.8, 1.05), (4.8, 2.45), colour=PURPLE)
+        axis.text(5.0, 1.18, "reward, to train the PPO selector", fontsize=11)
         return figure
 
 
@@ -222,5 +216,8 @@ def _block(axis, x: float, y: float, width: float, height: float, text: str, col
     axis.text(x + width / 2, y + height / 2, text, ha="center", va="center", fontsize=11.5)
 
 
-def _arrow(axis, start: tuple[float, float], end: tuple[float, float], faint: bool = False) -> None:
-    axis.annotate("", end, start, arrowprops={"arrowstyle": "->", "lw": 1.6, "alpha": 0.25 if faint else 1.0})
+def _arrow(
+    axis, start: tuple[float, float], end: tuple[float, float], faint: bool = False, colour: str = "black"
+) -> None:
+    look = {"arrowstyle": "->", "lw": 1.6, "shrinkA": 0, "color": colour, "alpha": 0.25 if faint else 1.0}
+    axis.annotate("", end, start, arrowprops=look)

@@ -163,12 +163,13 @@ def make_xml(
         for part in [joint.split("_")[1]]
     )
     # Sensor blocks, in this order: 4 x (found, force xyz in the world) of the feet,
-    # then 9 x found of trunk, thighs and calves.
+    # then 9 x found of trunk, thighs and calves, then 4 x velocity of the feet in the world.
     feet = "\n".join(
         f'<contact name="{leg}_foot" geom1="{leg}_foot" data="found force" reduce="netforce"/>' for leg in LEGS
     )
     bodies = ["trunk"] + [f"{leg}_{part}" for leg in LEGS for part in ("thigh", "calf")]
     touches = "\n".join(f'<contact name="{name}_touch" geom1="{name}"/>' for name in bodies)
+    velocities = "\n".join(f'<framelinvel objtype="site" objname="{leg}_foot"/>' for leg in LEGS)
     home = _vec(1, 0, STAND_HEIGHT, 1, 0, 0, 0, *DEFAULT_DOF_POS)
     return f"""
 <mujoco model="go1">
@@ -196,7 +197,7 @@ def make_xml(
     </body>
   </worldbody>
   <actuator>{actuators}</actuator>
-  <sensor>{feet}{touches}</sensor>
+  <sensor>{feet}{touches}{velocities}</sensor>
   <keyframe><key name="home" qpos="{home}" ctrl="{_vec(*DEFAULT_DOF_POS)}"/></keyframe>
 </mujoco>"""
 

@@ -44,6 +44,34 @@ SCANDOTS = observation_slices()["scandots"]
 NOISE = np.array([a for name, (n, a) in OBSERVATION.items() for _ in range(n if name != "scandots" else 1)], np.float32)
 
 
+def _mirror() -> tuple[np.ndarray, np.ndarray]:
+    """Index (184,) and sign (184,) with which a robot's mirror image, left for right, observes."""
+    polar, axial = np.array([1, -1, 1]), np.array([-1, 1, -1])  # vectors, and rotations about axes
+    swapped = np.array([1, 0, 3, 2])  # legs FR FL RR RL
+    joints = (3 * swapped[:, None] + np.arange(3)).ravel()
+    hips = np.tile([-1, 1, 1], 4)  # only the hips move sideways
+    parts = {
+        "base_lin_vel": (np.arange(3), polar),
+        "base_ang_vel": (np.arange(3), axial),
+        "projected_gravity": (np.arange(3), polar),
+        "heading_error": (np.arange(2), -np.ones(2)),
+        "command": (np.arange(1), np.ones(1)),
+        "dof_pos": (joints, hips),
+        "dof_vel": (joints, hips),
+        "last_action": (joints, hips),
+        "foot_contact": (swapped, np.ones(4)),
+        "scandots": (np.arange(NUM_SCANDOTS).reshape(len(SCANDOT_X), -1)[:, ::-1].ravel(), np.ones(NUM_SCANDOTS)),
+    }
+    starts = {name: part.start for name, part in observation_slices().items()}
+    index = np.concatenate([starts[name] + index for name, (index, _) in parts.items()])
+    return index, np.concatenate([sign for _, sign in parts.values()]).astype(np.float32)
+
+
+MIRROR_INDEX, MIRROR_SIGN = _mirror()
+_ACTION = observation_slices()["last_action"]
+MIRROR_ACTION_INDEX, MIRROR_ACTION_SIGN = MIRROR_INDEX[_ACTION] - _ACTION.start, MIRROR_SIGN[_ACTION]
+
+
 def wrap(angle: np.ndarray) -> np.ndarray:
     """Wrap angles [rad] to +-pi."""
     return (angle + np.pi) % (2 * np.pi) - np.pi

@@ -5,6 +5,7 @@ In:  an :class:`~agility_ref.record.Episode`.  Out: a matplotlib figure.
 
 import numpy as np
 
+from agility_ref.gait import measure
 from agility_ref.go1 import DOF_RANGE, LEGS, TORQUE_LIMITS
 from agility_ref.plots import BLUE, ORANGE, RED, empty_figure, style
 from agility_ref.record import Episode
@@ -51,13 +52,19 @@ def _bars(axis, on: np.ndarray, dt: float, y: float, height: float, colour: str,
 
 
 def _draw_gait(axis, episode: Episode) -> None:
+    """A bar while a foot stands; on the right its share of the time and the height of its swings."""
+    gait = measure([episode], settle=0.0)
     for k, leg in enumerate(LEGS):
+        height = gait.swing_clearance[k]
+        swing = "no swing" if np.isnan(height) else f"{100 * height:.1f} cm"
+        note = f"{100 * gait.contact_share[k]:.0f} %, {swing}"
+        axis.text(1.01, 3 - k, note, transform=axis.get_yaxis_transform(), va="center", fontsize=10.5)
         _bars(axis, episode.foot_contact[:, k], episode.dt, 3 - k, 0.7, LEG_COLOURS[leg])
         label = "on an edge" if k == 0 else None
         _bars(axis, episode.foot_on_edge[:, k], episode.dt, 3 - k, 0.9, RED, label)
     axis.set_yticks([3, 2, 1, 0], LEGS)
     axis.set_ylim(-0.6, 3.6)
-    axis.set_title(f"feet on the ground ({100 * episode.foot_contact.mean():.0f} % of the time)", loc="left")
+    axis.set_title("feet on the ground: share of the time, top of a swing", loc="left")
 
 
 def _draw_progress(axis, episode: Episode) -> None:

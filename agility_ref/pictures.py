@@ -5,15 +5,17 @@ Pure matplotlib: no graphics library, no display.
 In:  :class:`~agility_ref.record.Episode` objects.  Out: matplotlib figures.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 from agility_ref.go1 import FOOT_RADIUS, LEGS
 from agility_ref.plots import GREY, PURPLE, RED, SKILL_COLOURS, empty_figure, new_figure, style
 from agility_ref.record import Episode
-from agility_ref.scene import LEG_COLOURS, find_edges, waypoint_heights
+from agility_ref.scene import LEG_COLOURS, SIDE, find_edges, waypoint_heights
 from agility_ref.silhouette import Robot
 from agility_ref.terrain import CELL, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, Course
-from agility_ref.world import height_map, region_map
+from agility_ref.world import EDGE_MIN_DROP, height_map, region_map
 
 VIOLATION, ROBOT = RED, PURPLE
 ROW_LENGTH = 5.0  # [m] of course in one row of a strobe picture
@@ -24,6 +26,13 @@ Y = (np.arange(round(LANE_WIDTH / CELL)) + 0.5) * CELL - LANE_WIDTH / 2
 def skill_colour(name: str) -> str:
     """Colour of a skill; grey for a name that is none."""
     return SKILL_COLOURS.get(name, GREY)
+
+
+def stretches(values: np.ndarray) -> list[tuple[int, int]]:
+    """Cut an array (n,) or (n, k) where its value changes; return (start, stop) of every stretch."""
+    changes = (np.diff(values, axis=0) != 0).reshape(len(values) - 1, -1).any(axis=1)
+    borders = [0, *np.flatnonzero(changes) + 1, len(values)]
+    return [(int(start), int(stop)) for start, stop in pairwise(borders)]
 
 
 # ---------------------------------------------------------------------------- strobe
@@ -61,7 +70,8 @@ def strobe(episode: Episode, period: float = 0.7, spacing: float = 0.3):
     """
     x, z = episode.qpos[:, 0], episode.qpos[:, 2]
     ground = ground_along(episode.course, x, episode.qpos[:, 1])
-    highest = height_map(episode.course).max(axis=1)
+    heights = height_map(episode.course)
+    highest, lowest = heights.max(axis=1), heights.min(axis=1)
     begin, end = max(float(x.min()) - 0.6, 0.0), min(float(x.max()) + 0.7, LANE_LENGTH)
     count = max(int(np.ceil((end - begin) / ROW_LENGTH - 0.1)), 1)
     starts = begin + ROW_LENGTH * np.arange(count)
@@ -70,22 +80,23 @@ def strobe(episode: Episode, period: float = 0.7, spacing: float = 0.3):
         here = (start - 0.3 <= X) & (start + ROW_LENGTH + 0.3 >= X)
         on_row = (x >= start - 0.3) & (x <= start + ROW_LENGTH + 0.3)
         top = max(highest[here].max() + 0.70, z[on_row].max() + 0.40 if on_row.any() else -np.inf)
-        bottom = max(ground[here].min() - 0.12, np.median(ground[here]) - 0.75)
+        bottom = max(lowest[here].min() - 0.12, np.median(ground[here]) - 0.75)
         limits.append((bottom, top))
     width, pad, head, foot = 10.0, 0.42, 0.62, 0.60  # [inch]
     scale = (width - 0.9) / ROW_LENGTH
-    heights = [(top - bottom) * scale for bottom, top in limits]
+    panels = [(top - bottom) * scale for bottom, top in limits]
     with style():
-        figure = empty_figure((width, sum(heights) + pad * (count - 1) + head + foot))
+        figure = empty_figure((width, sum(panels) + pad * (count - 1) + head + foot))
         total = figure.get_figheight()
         robot, drawn = Robot(episode.course), instants(episode, period, spacing)
         upper = total - head
-        for start, (bottom, top), height in zip(starts, limits, heights, strict=True):
+        for start, (bottom, top), height in zip(starts, limits, panels, strict=True):
             axis = figure.add_axes((0.7 / width, (upper - height) / total, ROW_LENGTH * scale / width, height / total))
             upper -= height + pad
             axis.set(xlim=(start, start + ROW_LENGTH), ylim=(bottom, top), ylabel="z [m]")
+            axis.set_yticks(np.arange(np.ceil(5 * bottom), 5 * top) / 5)
             axis.grid(visible=False)
-            draw_ground(axis, ground, highest, bottom)
+            draw_ground(axis, ground, heights, bottom)
             _draw_waypoints(axis, episode, start)
             _draw_skill_band(axis, episode, top)
             axis.plot(x, z, color="black", linewidth=0.8, alpha=0.4, zorder=3)
@@ -98,7 +109,7 @@ def strobe(episode: Episode, period: float = 0.7, spacing: float = 0.3):
                         label = f"{t * episode.dt:.1f}"
                         if (later - t) * episode.dt > 2 * period:  # it stood here, or tried in vain
                             label += f" to {later * episode.dt:.1f}"
-                        place = {"ha": "center", "va": "bottom", "fontsize": 9.5, "zorder": 12}
+                        place = {"ha": "center", "va": "bottom", "fontsize": 10.5, "zorder": 12}
                         axis.text(x[t], z[t] + 0.11, f"{label} s", **place)
                         previous = x[t]
             _draw_contacts(axis, episode)
@@ -108,19 +119,33 @@ def strobe(episode: Episode, period: float = 0.7, spacing: float = 0.3):
         return figure
 
 
-def draw_ground(axis, ground: np.ndarray, highest: np.ndarray, bottom: float) -> None:
-    """Fill the ground along a path, and behind it whatever stands higher in the lane."""
-    axis.fill_between(X, highest, bottom - 1, step="mid", color="#E9E5DC", zorder=1, linewidth=0)
-    axis.fill_between(X, ground, bottom - 1, step="mid", color="#C9C2B4", zorder=2, linewidth=0)
-    axis.step(X, ground, where="mid", color="#6B6558", linewidth=1.0, zorder=2.5)
+def draw_ground(axis, ground: np.ndarray, heights: np.ndarray, bottom: float) -> None:
+    """Fill the ground along a path, behind it what stands higher in the lane, and the sides of beams.
+
+    Parameters
+    ----------
+    ground : (nx,) height under the path [m]
+    heights : (nx, ny) height of the whole lane [m]
+    bottom : lowest height shown [m]
+    """
+    beside = heights.min(axis=1)
+    beside = np.where(ground - beside > EDGE_MIN_DROP, beside, ground)  # tiles of rough ground have no sides
+    levels = np.stack([heights.max(axis=1), ground, beside])
+    parts = np.array(stretches(levels.T))  # the corners alone: 900 points a curve make an SVG of megabytes
+    x = parts.ravel() * CELL
+    highest, ground, beside = np.repeat(levels[:, parts[:, 0]], 2, axis=1)
+    axis.fill_between(x, highest, bottom - 1, color="#E9E5DC", zorder=1, linewidth=0)
+    axis.fill_between(x, ground, beside, color=SIDE, zorder=2, linewidth=0)
+    axis.fill_between(x, beside, bottom - 1, color="#C9C2B4", zorder=2, linewidth=0)
+    axis.plot(x, ground, color="#6B6558", linewidth=1.0, zorder=2.5)
 
 
 def _draw_waypoints(axis, episode: Episode, start: float) -> None:
     for k, (x, z) in enumerate(zip(episode.course.waypoints[:, 0], waypoint_heights(episode.course), strict=True)):
-        if start < x < start + ROW_LENGTH:
-            reached = k < episode.reached
+        if start <= x < start + ROW_LENGTH:
+            colour = ROBOT if k < episode.reached else "white"
             axis.plot([x, x], [z, z + 0.58], color="black", linewidth=0.8, alpha=0.5, zorder=2.6)
-            axis.plot(x, z + 0.58, "o", color="#CC79A7" if reached else "white", markeredgecolor="black", markersize=7)
+            axis.plot(x, z + 0.58, "o", color=colour, markeredgecolor="black", markersize=7, clip_on=False)
             axis.annotate(str(k + 1), (x, z + 0.58), (5, 0), textcoords="offset points", va="center", fontsize=10)
 
 
@@ -130,14 +155,14 @@ def _draw_skill_band(axis, episode: Episode, top: float) -> None:
         return
     x = episode.qpos[:, 0]
     for indices, low, high in ((episode.skill, top - 0.10, top - 0.02), (episode.wanted, top - 0.19, top - 0.11)):
-        changes = np.flatnonzero(np.diff(indices)) + 1
-        for first, last in zip([0, *changes], [*changes, len(x) - 1], strict=True):
-            colour = skill_colour(episode.skills[indices[first]])
-            axis.fill_between([x[first], x[last]], low, high, color=colour, linewidth=0, zorder=2.7)
+        for start, stop in stretches(indices):
+            span = [x[start], x[min(stop, len(x) - 1)]]
+            colour = skill_colour(episode.skills[indices[start]])
+            axis.fill_between(span, low, high, color=colour, linewidth=0, zorder=2.7)
     inside = axis.get_xlim()[0] + 0.03
     for label, height in (("chosen", top - 0.06), ("oracle", top - 0.15)):
         if x.min() > inside + 0.45:
-            axis.text(inside, height, label, fontsize=9.5, va="center", zorder=3)
+            axis.text(inside, height, label, fontsize=10, va="center", zorder=3)
 
 
 def _draw_contacts(axis, episode: Episode) -> None:
@@ -159,7 +184,7 @@ def _strobe_legend(figure, episode: Episode, y: float, x: float) -> None:
 
     items = [Line2D([], [], ls="", marker="o", ms=6, color=LEG_COLOURS[leg], label=leg) for leg in LEGS]
     items.append(Line2D([], [], ls="", marker="x", ms=7, mew=2, color=VIOLATION, label="edge violated"))
-    items.append(Line2D([], [], ls="", marker="o", ms=7, color="#CC79A7", mec="black", label="waypoint reached"))
+    items.append(Line2D([], [], ls="", marker="o", ms=7, color=ROBOT, mec="black", label="waypoint reached"))
     items += [Patch(color=skill_colour(name), label=name) for name in episode.skills]
     figure.legend(
         handles=items, loc="upper left", bbox_to_anchor=(x - 0.012, y), ncols=len(items), fontsize=10,
@@ -224,11 +249,10 @@ def _draw_lane(
     low, high = shades
     axis.imshow(
         heights[:, shown].T, origin="lower", extent=(0, LANE_LENGTH, -half_width, half_width), cmap="gray",
-        vmin=low - 0.5 * max(high - low, 0.2), vmax=high, interpolation="nearest",
+        vmin=low - 0.5 * max(high - low, 0.2), vmax=high + 0.1 * max(high - low, 0.2), interpolation="nearest",
     )  # fmt: skip
     regions = region_map(course)
-    changes = np.flatnonzero(np.diff(regions)) + 1
-    for start, stop in zip([0, *changes], [*changes, len(regions)], strict=True):
+    for start, stop in stretches(regions):
         name = SKILLS[regions[start]]
         if name != "walk":
             span = [start * CELL, stop * CELL]
@@ -246,10 +270,10 @@ def _draw_trail(axis, episode: Episode) -> None:
     xy = episode.qpos[:, :2]
     axis.plot(*xy.T, color="black", linewidth=2.6 if episode.skill is not None else 1.0, alpha=0.55, zorder=5)
     if episode.skill is not None:
-        colours = [skill_colour(episode.skills[k]) for k in episode.skill[:-1]]
-        axis.add_collection(
-            LineCollection(np.stack([xy[:-1], xy[1:]], axis=1), colors=colours, linewidths=1.8, zorder=6)
-        )
+        parts = stretches(episode.skill)  # a line a stretch: an SVG with a line a step takes seconds
+        lines = [xy[start : stop + 1] for start, stop in parts]
+        colours = [skill_colour(episode.skills[episode.skill[start]]) for start, _ in parts]
+        axis.add_collection(LineCollection(lines, colors=colours, linewidths=1.8, zorder=6, in_layout=False))
     marker = "X" if episode.fell else "o"
     axis.plot(*xy[-1], marker, color=ROBOT, markeredgecolor="black", markersize=9, zorder=7)
 
@@ -261,13 +285,15 @@ def _draw_choices(axis, lane: list[Episode], top: float) -> None:
     bins = np.concatenate([(e.qpos[:, 0] / width).astype(int) for e in lane])
     for attribute, high in (("skill", top - 0.08), ("wanted", top - 0.42)):
         values = np.concatenate([getattr(e, attribute) for e in lane])
-        for b in np.unique(bins):
-            commonest = np.bincount(values[bins == b], minlength=len(names)).argmax()
-            axis.fill_between(
-                [b * width, (b + 1) * width], high - 0.28, high, color=skill_colour(names[commonest]), linewidth=0
-            )
+        votes = np.zeros((bins.max() + 1, len(names)), int)
+        np.add.at(votes, (bins, values), 1)
+        commonest = np.where(votes.any(axis=1), votes.argmax(axis=1), -1)  # -1: nobody came here
+        for start, stop in stretches(commonest):
+            if commonest[start] >= 0:
+                colour = skill_colour(names[commonest[start]])
+                axis.fill_between([start * width, stop * width], high - 0.28, high, color=colour, linewidth=0)
         label = "chosen" if attribute == "skill" else "oracle"
-        axis.text(bins.min() * width - 0.05, high - 0.14, label, fontsize=9, va="center", ha="right")
+        axis.text(bins.min() * width - 0.05, high - 0.14, label, fontsize=10, va="center", ha="right")
 
 
 def _agreement(lane: list[Episode]) -> str:

@@ -5,14 +5,13 @@ the command and the versions that made them.
 matplotlib is imported when a figure is drawn, never at import.
 """
 
-import csv
-import io
 import os
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
+from agility_ref.progress import read_progress
 from agility_ref.stats import bootstrap_interval, iqm
 
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"  # Okabe and Ito
@@ -71,27 +70,60 @@ def new_figure(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0
 
 def save_figure(figure, out: Path, command: str) -> list[Path]:
     """Write ``out`` as PNG and as SVG, with the command and the versions in the metadata."""
-    from PIL import Image, PngImagePlugin
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from PIL import PngImagePlugin
 
     made = {"Software": made_with(), "Description": command}
     out = Path(out)
     out.parent.mkdir(parents=True, exist_ok=True)
     paths = [out.with_suffix(".png"), out.with_suffix(".svg")]
     partials = [path.with_name(path.name + ".partial") for path in paths]
-    with style():
-        figure.savefig(buffer := io.BytesIO(), format="png")
-        figure.savefig(
-            partials[1], format="svg", metadata={"Creator": made["Software"], "Description": command, "Date": None}
-        )
+    with style():  # each canvas draws once, where Figure.savefig would draw twice
+        figure.set_dpi(STYLE["savefig.dpi"])
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        pixels = np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+        figure.set_layout_engine("none")  # the PNG's layout is the SVG's
+        tags = {"Creator": made["Software"], "Description": command, "Date": None}
+        FigureCanvasSVG(figure).print_svg(partials[1], metadata=tags)
     info = PngImagePlugin.PngInfo()
     for key, text in made.items():
         info.add_itxt(key, text)
-    # 256 colours are enough for a diagram and take a third of the space.
-    image = Image.open(buffer).convert("RGB").quantize(256, kmeans=2, dither=Image.Dither.NONE)
-    image.save(partials[0], format="PNG", pnginfo=info, optimize=True)
+    paletted(pixels).save(partials[0], format="PNG", pnginfo=info, optimize=True)
     for partial, path in zip(partials, paths, strict=True):
         os.replace(partial, path)
     return paths
+
+
+def paletted(pixels: np.ndarray):
+    """Return an image of 256 colours, which are enough for a diagram and take a third of the space.
+
+    The commonest 128 stay exact.  The others are spread over all that are left, each counted
+    once, so that a single red mark is not given the colour of a large area near it.
+
+    Parameters
+    ----------
+    pixels : (height, width, 3) uint8
+    """
+    from PIL import Image
+
+    packed = pixels.astype(np.uint32)
+    packed = packed[:, :, 0] << 16 | packed[:, :, 1] << 8 | packed[:, :, 2]
+    colours, counts = np.unique(packed, return_counts=True)
+    colours = colours[np.argsort(-counts.astype(int), kind="stable")]
+    rgb = np.stack([colours >> 16, colours >> 8 & 255, colours & 255], axis=1).astype(np.uint8)
+    palette = rgb
+    if len(rgb) > 256:
+        rest = Image.fromarray(rgb[None, 128:]).quantize(128, Image.Quantize.MAXCOVERAGE)
+        palette = np.concatenate([rgb[:128], np.array(rest.getpalette(), np.uint8).reshape(-1, 3)])[:256]
+    # |a - b|^2 = |a|^2 - 2 a.b + |b|^2, of which the first is the same for every entry b
+    a, b = rgb.astype(np.float32), palette.astype(np.float32)
+    index = np.zeros(1 << 24, np.uint8)  # of every 24-bit colour in the palette
+    index[colours] = ((b**2).sum(axis=1) - 2 * a @ b.T).argmin(axis=1)
+    image = Image.fromarray(index[packed])
+    image.putpalette(palette.tobytes())
+    return image
 
 
 def made_with() -> str:
@@ -105,14 +137,11 @@ def made_with() -> str:
 # ---------------------------------------------------------------------------- learning curves
 
 
-LABELS = {"reward": "return per episode", "waypoint_fraction": "waypoint fraction"}
-
-
-def read_progress(path: Path) -> dict[str, np.ndarray]:
-    """Read a progress.csv into one array a column."""
-    with open(path, newline="") as file:
-        rows = list(csv.DictReader(file))
-    return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]} if rows else {}
+LABELS = {
+    "reward": "return per episode",
+    "waypoint_fraction": "waypoint fraction, exploring",
+    "level": "level / top level",
+}
 
 
 def smooth(steps: np.ndarray, values: np.ndarray, grid: np.ndarray, window: float) -> np.ndarray:
@@ -168,7 +197,7 @@ def _wall_axis(axis, curve: dict[str, np.ndarray], whose: str = "") -> None:
 def learning_curves(
     runs: dict[str, list[Path]],
     evaluations: dict[str, list[dict[str, float]]] | None = None,
-    metrics: tuple[str, ...] = ("waypoint_fraction", "reward"),
+    metrics: tuple[str, ...] = ("waypoint_fraction", "level", "reward"),
 ):
     """Compare policies: a thin line a seed, a bold IQM, a 95 % band; return the figure.
 
@@ -177,10 +206,11 @@ def learning_curves(
     runs : policy -> the progress.csv of each of its seeds
     evaluations : policy -> evaluations of its runs, each with ``steps`` and the metrics;
         drawn as diamonds, for they are played without exploration and on other courses
-    metrics : columns of progress.csv, one panel each
+    metrics : columns of progress.csv, one panel each; read the waypoint fraction beside the
+        level, for a curriculum keeps it between its two thresholds until the top is reached
     """
     with style():
-        figure, axes = new_figure(1, len(metrics), (5.2 * len(metrics), 4.9))
+        figure, axes = new_figure(1, len(metrics), (4.8 * len(metrics), 4.9))
         curves = {policy: [c for c in map(read_progress, paths) if c] for policy, paths in runs.items()}
         curves = {policy: found for policy, found in curves.items() if found}
         for axis, metric in zip(axes[0], metrics, strict=True):
@@ -207,7 +237,7 @@ def _draw_policy(axis, policy: str, seeds: list[dict], points: list[dict], metri
     axis.fill_between(grid / 1e6, low, high, color=colour, alpha=0.2, linewidth=0)
     label = f"{policy}, {len(seeds)} seed{'s' * (len(seeds) > 1)}"
     axis.plot(grid / 1e6, middle, color=colour, linewidth=2.6, label=label)
-    for point in points:
+    for point in points if metric != "level" else []:
         axis.plot(point["steps"] / 1e6, point[metric], "D", color=colour, markeredgecolor="black", markersize=8)
 
 
@@ -236,23 +266,34 @@ def learning_curve(progress: Path, out: Path, title: str) -> bool:
 # ---------------------------------------------------------------------------- Table 1
 
 
-def table_figure(cells: dict[tuple[str, str], dict], out: Path, title: str) -> None:
-    """Draw waypoint fraction and edge violation of every cell, ours beside the paper's."""
-    environments = list(dict.fromkeys(environment for environment, _ in cells))
+def table_figure(rows: list, out: Path, title: str) -> None:
+    """Draw waypoint fraction and edge violation of every line of the table, ours beside the paper's.
+
+    Parameters
+    ----------
+    rows : of :func:`agility_ref.table1.table_rows`; bars are means, dots the interquartile means
+        of ours with their 95 % intervals
+    out, title : of the figure
+    """
+    environments = list(dict.fromkeys(row.environment for row in rows))
     with style():
-        figure, axes = new_figure(2, len(environments), (3.6 * len(environments), 8.0))
+        figure, axes = new_figure(2, len(environments), (3.6 * len(environments), 9.0))
         for column, environment in enumerate(environments):
-            rows = [(label, cell) for (e, label), cell in cells.items() if e == environment]
-            y = np.arange(len(rows))[::-1]
-            for row, metric in enumerate(("waypoint_fraction", "edge_violation")):
-                axis = axes[row, column]
-                ours = np.array([cell["ours"][metric][0] if cell["ours"] else np.nan for _, cell in rows])
-                paper = np.array([cell["paper"][metric][0] for _, cell in rows])
+            here = [row for row in rows if row.environment == environment]
+            y = np.arange(len(here))[::-1]
+            for line, metric in enumerate(("waypoint_fraction", "edge_violation")):
+                axis = axes[line, column]
+                ours = np.array([row.ours.mean_std[metric][0] if row.ours else np.nan for row in here])
+                paper = np.array([row.paper[metric][0] if row.paper else np.nan for row in here])
+                nothing = (np.nan,) * 3
+                sure = np.array([row.ours.iqm.get(metric, nothing) if row.ours else nothing for row in here])
                 axis.barh(y + 0.2, ours, 0.38, color=BLUE, label="ours")
                 axis.barh(y - 0.2, paper, 0.38, color=ORANGE, label="paper")
-                axis.set_yticks(y, [label for label, _ in rows])
-                axis.set(title=environment if row == 0 else "", xlabel=metric.replace("_", " "))
+                axis.hlines(y + 0.2, sure[:, 1], sure[:, 2], color="black", linewidth=1.2)
+                axis.plot(sure[:, 0], y + 0.2, ".", color="black", label="ours: IQM, 95 % interval")
+                axis.set_yticks(y, [row.policy for row in here])
+                axis.set(title=environment if line == 0 else "", xlabel=metric.replace("_", " "), xlim=(0, None))
                 axis.grid(visible=False, axis="y")
-        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
         figure.suptitle(title, x=0.01, ha="left")
     save_figure(figure, out, f"agility-ref table1 ({title})")

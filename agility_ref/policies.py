@@ -44,6 +44,8 @@ class PPOConfig:
     """KL divergence per minibatch that the rate is steered to; usual 0.005 to 0.02."""
     init_std: float = 0.8
     """Standard deviation of the first policy; usual 0.5 to 1."""
+    mirror: bool = False
+    """Learn from the mirror images, left for right, of every other robot's steps; skills only."""
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers of actor and critic."""
 

@@ -21,6 +21,7 @@ import torch
 
 from agility_ref.errors import UserError
 from agility_ref.networks import ActorCritic, Gaussian, Normalizer
+from agility_ref.observation import MIRROR_ACTION_INDEX, MIRROR_ACTION_SIGN, MIRROR_INDEX, MIRROR_SIGN
 from agility_ref.policies import PPOConfig
 
 
@@ -264,6 +265,22 @@ def _descend(optimizer: torch.optim.Adam, learning_rate: float, loss: torch.Tens
     optimizer.step()
 
 
+@torch.inference_mode()
+def mirror_alternate(learner: Learner, rollout: Rollout) -> None:
+    """Replace the steps of every other robot by their mirror images, left for right, in place.
+
+    The robot and its courses have no handedness, so what was good on one side is good on the
+    other: probabilities, advantages and values carry over (Mittal et al. 2024, "Symmetry
+    considerations for learning task symmetric robot policies").
+    """
+    flipped = rollout.raw_obs[:, 1::2][:, :, MIRROR_INDEX] * MIRROR_SIGN
+    rollout.obs[:, 1::2] = torch.from_numpy(learner.normalizer(flipped))
+    mean, log_std = rollout.parameters
+    sign = torch.from_numpy(MIRROR_ACTION_SIGN)
+    for values, factor in ((rollout.actions, sign), (mean, sign), (log_std, 1.0)):
+        values[:, 1::2] = values[:, 1::2][:, :, MIRROR_ACTION_INDEX] * factor
+
+
 def update(learner: Learner, rollout: Rollout) -> dict[str, float]:
     """One PPO update; return the mean losses, KL and clip fraction.
 
@@ -277,6 +294,8 @@ def update(learner: Learner, rollout: Rollout) -> dict[str, float]:
     )  # fmt: skip
     returns = torch.from_numpy(advantages + rollout.values).flatten()
     advantages = torch.from_numpy((advantages - advantages.mean()) / (advantages.std() + 1e-8)).flatten()
+    if c.mirror:
+        mirror_alternate(learner, rollout)
     obs, actions = rollout.obs.flatten(0, 1), rollout.actions.flatten(0, 1)
     old = tuple(p.flatten(0, 1) for p in rollout.parameters)
     old_log_prob = learner.distribution.log_prob(old, actions)

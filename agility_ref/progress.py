@@ -1,8 +1,8 @@
 """Progress: what a run shows and writes while it trains, and how it is stopped.
 
 In:  the record of each iteration of :func:`agility_ref.ppo.train`.
-Out: a progress bar, ``progress.csv``, and a polite end on Ctrl-C.  Files are written under a
-temporary name and renamed, so that a reader never meets half of one.
+Out: a progress bar, ``progress.csv`` and its reader, and a polite end on Ctrl-C.  Files are
+written under a temporary name and renamed, so that a reader never meets half of one.
 """
 
 import csv
@@ -37,6 +37,13 @@ def write_csv(path: Path, rows: list[dict]) -> None:
         writer.writeheader()
         writer.writerows(rows)
     os.replace(partial, path)
+
+
+def read_progress(path: Path) -> dict[str, np.ndarray]:
+    """Read a progress.csv into one array a column."""
+    with open(path, newline="") as file:
+        rows = list(csv.DictReader(file))
+    return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]} if rows else {}
 
 
 class ProgressLog:

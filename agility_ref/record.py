@@ -47,6 +47,8 @@ class Episode:
     """(T, 4) bool, the foot touches the terrain."""
     foot_on_edge: np.ndarray
     """(T, 4) bool, the foot violates an edge."""
+    body_contact: np.ndarray
+    """(T, 9) bool, trunk, thighs and calves that touch the terrain."""
     torque: np.ndarray
     """(T, 12) [N m]"""
     target: np.ndarray
@@ -159,6 +161,7 @@ def play(policy: Single | Hierarchy, env: Go1Env, environment: str, seed: int) -
         length[ended], fell[ended] = len(rows), terminated[ended]
         reached[ended] = info["episode"]["waypoints"][ended]
     states = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
+    states["body_contact"] = states.pop("sensors")[:, :, BODY_TOUCH] > 0
     rewards = {name: np.stack([term[name] for term in terms]) for name in terms[0]}
     return [
         Episode(
@@ -177,4 +180,5 @@ def play(policy: Single | Hierarchy, env: Go1Env, environment: str, seed: int) -
     ]
 
 
-VIEWS = {"qpos": "qpos", "foot_pos": "site_xpos", "torque": "actuator_force"}  # ours: MuJoCo's
+VIEWS = {"qpos": "qpos", "foot_pos": "site_xpos", "torque": "actuator_force", "sensors": "sensordata"}  # ours: MuJoCo's
+BODY_TOUCH = slice(16, 25)  # of the sensors, see go1.make_xml

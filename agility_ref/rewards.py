@@ -32,6 +32,8 @@ class StepState:
     """(N, 3) unit gravity vector in the trunk's frame; (0, 0, -1) when level."""
     goal_velocity: np.ndarray
     """(N,) world velocity along the direction of the current waypoint [m/s]."""
+    speed: np.ndarray
+    """(N,) horizontal speed [m/s]."""
     heading_error: np.ndarray
     """(N,) angle from the robot's heading to the current waypoint [rad], in +-pi."""
     command: np.ndarray
@@ -54,13 +56,22 @@ class StepState:
     """(N, 4, 3) ground force on each foot in the world frame [N]."""
     foot_on_edge: np.ndarray
     """(N, 4) bool, foot in contact within 5 cm of an edge."""
+    foot_speed: np.ndarray
+    """(N, 4) horizontal speed of the feet [m/s]."""
+    foot_clearance: np.ndarray
+    """(N, 4) height of the feet over the ground under them [m]."""
     body_contact: np.ndarray
     """(N, 9) bool, trunk, thighs and calves touching the terrain."""
 
 
 def tracking_goal_vel(s: StepState) -> np.ndarray:
-    """min(v . direction to waypoint, command) / command; faster than asked earns nothing more."""
-    return np.minimum(s.goal_velocity, s.command) / s.command
+    """V . direction to waypoint / max(|v|, command); faster than asked earns nothing more.
+
+    The original caps v . direction, so that a robot at 1.4 times the commanded speed may head
+    45 degrees off its waypoint for the full reward: it runs past and must turn back.  Here the
+    velocity itself is capped, and direction counts at any speed.
+    """
+    return s.goal_velocity / np.maximum(s.speed, s.command)
 
 
 def tracking_yaw(s: StepState) -> np.ndarray:
@@ -129,6 +140,15 @@ def feet_edge(s: StepState) -> np.ndarray:
     return np.count_nonzero(s.foot_on_edge, axis=1).astype(np.float64)
 
 
+def feet_drag(s: StepState) -> np.ndarray:
+    """Sum over feet of speed times what is missing to a clearance of 8 cm [m^2/s].
+
+    Not in the original.  Without it robots learn to shuffle, and stub their toes on the first
+    edge; a foot that stands still or swings high costs nothing.
+    """
+    return (s.foot_speed * np.clip(0.08 - s.foot_clearance, 0.0, 0.08)).sum(axis=1)
+
+
 def alive(s: StepState) -> np.ndarray:
     """1 on the level course, 0 elsewhere, where it would pay to stand before an obstacle.
 
@@ -141,7 +161,7 @@ TERMS = {
     f.__name__: f
     for f in (
         tracking_goal_vel, tracking_yaw, lin_vel_z, ang_vel_xy, orientation, dof_acc, torques,
-        action_rate, hip_pos, dof_error, collision, feet_stumble, feet_edge, alive,
+        action_rate, hip_pos, dof_error, collision, feet_stumble, feet_edge, feet_drag, alive,
     )
 }  # fmt: skip
 
@@ -176,6 +196,8 @@ class RewardConfig:
     """Kicking vertical faces; original -1."""
     feet_edge: float = -0.3
     """Stepping on edges; original -1, there only on the hardest rows."""
+    feet_drag: float = -1.0
+    """Feet that move close to the ground; original 0."""
     alive: float = 0.5
     """Not having fallen, on the level course; original 0, with the sum clipped at zero."""
 

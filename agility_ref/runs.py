@@ -29,6 +29,7 @@ from agility_ref.policies import PolicySpec, PPOConfig, find_policy, find_preset
 from agility_ref.progress import ProgressLog, StopRequest, write_csv, write_text
 from agility_ref.selector import (
     Hierarchy,
+    SelectorConfig,
     SelectorEnv,
     Single,
     SupervisedConfig,
@@ -37,6 +38,7 @@ from agility_ref.selector import (
     oracle_hierarchy,
     selector_hierarchy,
 )
+from agility_ref.task import TRAINING
 
 if TYPE_CHECKING:
     from agility_ref.ppo import Learner
@@ -60,14 +62,14 @@ class TrainConfig:
     """Start from the policy that the table of policies names; False for from scratch."""
     warm_std: float = 0.5
     """Exploration noise after a warm start; usual 0.3 to 0.8."""
-    selector_ent_coef: float = 0.01
-    """Entropy bonus of the PPO selector, against mode collapse; usual 0.005 to 0.05."""
     ppo: PPOConfig = PPOConfig()
     """Hyper-parameters of PPO."""
-    env: EnvConfig = EnvConfig()
+    env: EnvConfig = TRAINING
     """The task."""
     curriculum: CurriculumConfig = CurriculumConfig()
     """The levels."""
+    selector: SelectorConfig = SelectorConfig()
+    """Decisions of the learned selectors."""
     supervised: SupervisedConfig = SupervisedConfig()
     """Training of the supervised selector."""
 
@@ -141,8 +143,14 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
     """
     spec = find_policy(name)
     find_preset(config.preset)
-    if config.steps < 0:
-        raise UserError(f"steps must not be negative, got {config.steps}")
+    for what, given, least in (
+        ("steps", config.steps, 0),
+        ("selector.decision-steps", config.selector.decision_steps, 1),
+        ("selector.switch-cost", config.selector.switch_cost, 0),
+        ("supervised.dagger-rounds", config.supervised.dagger_rounds, 0),
+    ):
+        if not given >= least:
+            raise UserError(f"{what} must be at least {least}, got {given}")
     if spec.method == "oracle":
         raise UserError(
             "the oracle needs no training: it reads the region map; train its skills: " + ", ".join(spec.skills)
@@ -185,14 +193,16 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     total = config.steps or spec.steps(config.preset)
     ppo = config.ppo
     selector = spec.method == "ppo-selector"
+    hold = config.selector.decision_steps if selector else 1
     if selector:
-        ppo = replace(ppo, ent_coef=config.selector_ent_coef)
+        ppo = replace(ppo, ent_coef=config.selector.ent_coef, gamma=ppo.gamma**hold)
         config = replace(config, curriculum=replace(config.curriculum, enabled=False))
     env, curriculum = _make_env(spec, config)
     act_dim = len(spec.skills) if selector else ACTION_DIM
     learner = Learner.create(OBS_DIM, act_dim, ppo, config.seed, Categorical if selector else Gaussian, fixed=SCANDOTS)
     if selector:
-        env = SelectorEnv(env, oracle_hierarchy(spec.name, load_skills(spec, config)), spec.reward)
+        oracle = oracle_hierarchy(spec.name, load_skills(spec, config))
+        env = SelectorEnv(env, oracle, spec.reward, config.selector, config.ppo.gamma)
     rows = _resume_or_warm_start(spec, config, folder, learner, curriculum)
     if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
@@ -205,13 +215,16 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
         meta = {
             "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": learner.steps,
             "courses": spec.courses, "act_dim": act_dim, "obs_dim": OBS_DIM, "versions": checkpoint.versions(),
-            "wall_seconds": time.monotonic() - start, "config": asdict(config),
+            "wall_seconds": time.monotonic() - start, "decision_steps": hold, "config": asdict(config),
         }  # fmt: skip
         log.write()
         checkpoint.save(folder / "policy.npz", arrays, meta)
 
     with stop:
         for iteration, record in enumerate(train(env, learner, total, stop.requested)):
+            # PPO has counted decisions; budgets are in control steps.
+            learner.steps += (hold - 1) * ppo.batch_size
+            record |= {"steps": learner.steps, "steps_per_second": hold * record["steps_per_second"]}
             log.add(record, time.monotonic() - start, curriculum.mean_level())
             if time.monotonic() - last_save > 20.0:
                 save()
@@ -236,6 +249,10 @@ def _resume_or_warm_start(
         arrays, meta = checkpoint.load(saved)
         if meta.get("preset") != config.preset:
             raise UserError(f"{folder} was trained with preset {meta.get('preset')}, not {config.preset}")
+        if spec.method == "ppo-selector" and meta.get("decision_steps", 1) != config.selector.decision_steps:
+            raise UserError(
+                f"{folder} decides every {meta.get('decision_steps', 1)} steps; give that, or another --out"
+            )
         learner.load_arrays(arrays)
         learner.steps = meta["steps"]
         learner.generator.manual_seed(config.seed + learner.steps)  # not the noise of the first part again
@@ -264,13 +281,14 @@ def _train_supervised(spec: PolicySpec, config: TrainConfig, folder: Path, quiet
     total = config.steps or spec.steps(config.preset)
     actor, data, rows = oracle, [], []
     for k in range(rounds):
-        data.append(collect_labels(env, actor, oracle, total // rounds))
+        data.append(collect_labels(env, actor, oracle, -(-total // rounds)))
         scandots, labels = (np.concatenate(part) for part in zip(*data, strict=True))
         arrays, losses = fit_selector(scandots, labels, len(skills), config.supervised, config.seed)
         meta = {
             "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": len(labels),
             "courses": spec.courses, "act_dim": len(skills), "obs_dim": NUM_SCANDOTS,
-            "versions": checkpoint.versions(), "wall_seconds": time.monotonic() - start, "config": asdict(config),
+            "versions": checkpoint.versions(), "wall_seconds": time.monotonic() - start,
+            "decision_steps": config.selector.decision_steps, "config": asdict(config),
         }  # fmt: skip
         actor = selector_hierarchy(spec.name, skills, Policy.from_arrays(arrays, meta))
         rows += [{"round": k, "states": len(labels), "epoch": e, "cross_entropy": v} for e, v in enumerate(losses)]

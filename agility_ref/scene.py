@@ -2,7 +2,8 @@
 
 The training model of :mod:`agility_ref.go1` is built from the few geoms that touch
 something.  Here the same model is dressed: hips, trunk and head by their look, legs in a
-colour each, terrain with light tops and marked edges, poles on the waypoints, sky and sun.
+colour each, terrain with light tops, a line every metre and marked edges, poles on the
+waypoints, sky and sun.
 Nothing that is added collides or weighs anything, and the joints stay, so a ``qpos``
 recorded on the training model can be shown on this one.
 
@@ -23,7 +24,7 @@ from agility_ref.world import EDGE_MIN_DROP, height_map
 LEG_COLOURS = {"FR": "#E69F00", "FL": "#0072B2", "RR": "#F0E442", "RL": "#56B4E9"}
 EDGE_COLOUR = "#D55E00"
 BODY, DARK, RUBBER = "#D8DADD", "#3A3F47", "#23262B"
-TOP_LOW, TOP_HIGH, SIDE, PIT = "#B9B2A3", "#F3EEE2", "#8C8577", "#5B564E"
+TOP_LOW, TOP_HIGH, SIDE, PIT, METRE = "#B9B2A3", "#F3EEE2", "#8C8577", "#5B564E", "#9C9485"
 
 WAYPOINT_COLOURS = {"reached": "#6E6E6E", "current": "#FF4FA3", "ahead": "#F2D5E3"}
 
@@ -140,14 +141,18 @@ def _dress_leg(spec, leg: str) -> None:
 
 
 def _dress_terrain(world, course: Course) -> None:
-    """Light tops, the higher the lighter; dark pits; a strip along every edge."""
+    """Light tops, the higher the lighter, lined every metre; dark pits; a strip along every edge."""
     tops = [box.top for box in course.boxes]
     low, span = min(tops), max(max(tops) - min(tops), 0.3)
     for box in course.boxes:
         colour = blend(TOP_LOW, TOP_HIGH, (box.top - low) / span) if box.walkable else rgba(PIT)
         # A thin plate would shadow itself; this one is sunk, with 1 mm showing.
         half = ((box.x1 - box.x0) / 2 - 0.001, (box.y1 - box.y0) / 2 - 0.001, 0.02)
-        _add(world, BOX, half, colour, pos=((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2, box.top - 0.019))
+        middle = (box.y0 + box.y1) / 2
+        _add(world, BOX, half, colour, pos=((box.x0 + box.x1) / 2, middle, box.top - 0.019))
+        if box.walkable:  # lines across the lane: bare ground would hide how fast a robot goes
+            for x in range(int(np.ceil(box.x0 + 0.01)), int(np.ceil(box.x1 - 0.01))):
+                _add(world, BOX, (0.006, half[1], 0.002), METRE, pos=(x, middle, box.top + 0.001))
     for e in find_edges(height_map(course)):
         width = 0.012  # [m]
         half = ((e.x1 - e.x0) / 2 + width / 2, (e.y1 - e.y0) / 2 + width / 2, 0.010)

@@ -43,12 +43,15 @@ class Hierarchy:
     """(5,) index among ``skills`` of each of the oracle's labels."""
 
     def __post_init__(self):
-        self._held: np.ndarray | None = None
-        self._age = 0
+        self.reset()
 
-    def reset(self) -> None:
-        """Forget the last decision."""
-        self._held, self._age = None, 0
+    def reset(self, robots: np.ndarray | None = None) -> None:
+        """Forget the decisions of robots whose episode ended, of all by default: they decide anew at once."""
+        if robots is None:
+            self._held: np.ndarray | None = None
+            self._age: np.ndarray | None = None  # (N,) control steps since a robot's first decision
+        elif self._age is not None:
+            self._age[robots] = 0
 
     def execute(self, observation: np.ndarray, skill: np.ndarray) -> np.ndarray:
         """Return the action of each robot's chosen skill, (N, 12)."""
@@ -59,8 +62,11 @@ class Hierarchy:
 
     def act(self, observation: np.ndarray, env: Go1Env) -> tuple[np.ndarray, np.ndarray]:
         """Return the action (N, 12) and the skill that made it (N,)."""
-        if self._held is None or self._age >= self.decision_steps:
-            self._held, self._age = self.choose(observation, env), 0
+        if self._held is None:
+            self._held, self._age = np.zeros(len(observation), int), np.zeros(len(observation), int)
+        due = self._age % self.decision_steps == 0
+        if due.any():
+            self._held = np.where(due, self.choose(observation, env), self._held)
         self._age += 1
         return self.execute(observation, self._held), self._held
 
@@ -72,7 +78,7 @@ class Single:
     name: str
     policy: Policy
 
-    def reset(self) -> None:
+    def reset(self, robots: np.ndarray | None = None) -> None:
         """Nothing to forget."""
 
     def act(self, observation: np.ndarray, env: Go1Env) -> tuple[np.ndarray, None]:
@@ -90,45 +96,117 @@ def selector_hierarchy(name: str, skills: dict[str, Policy], selector: Policy) -
     """A learned selector: the skill with the largest logit.
 
     A network with 132 inputs reads the scandots alone (paper section 3.2.3); one with 184
-    reads scandots, proprioception and heading (section 3.2.1).
+    reads scandots, proprioception and heading (section 3.2.1).  Its checkpoint records how
+    many control steps it holds a choice.
     """
 
     def choose(observation: np.ndarray, env: Go1Env) -> np.ndarray:
         inputs = observation if selector.obs_dim == OBS_DIM else observation[:, SCANDOTS]
         return selector(inputs).argmax(axis=1)
 
-    return Hierarchy(name, tuple(skills.values()), choose, labels=skill_labels(tuple(skills)))
+    hold = selector.meta.get("decision_steps", 1)
+    return Hierarchy(name, tuple(skills.values()), choose, hold, skill_labels(tuple(skills)))
+
+
+@dataclass(frozen=True)
+class SelectorConfig:
+    """How a learned selector decides, and what its PPO is charged for."""
+
+    decision_steps: int = 1
+    """Control steps between decisions; 1 in the paper, 10 (0.2 s) for the ablation."""
+    switch_cost: float = 0.0
+    """Reward taken for each change of skill within an episode, ps-rl only; usual 0 to 0.2."""
+    ent_coef: float = 0.01
+    """Entropy bonus of the PPO selector, against mode collapse; usual 0.005 to 0.05."""
 
 
 class SelectorEnv:
     """Go1Env with a skill index as its action (paper section 3.2.2).
 
-    Parameters
-    ----------
-    env : the robots
-    hierarchy : the frozen skills; its chooser is not used
-    reward : "environment" for the robots' own reward, "oracle" for +1 where the chosen
-        skill is the oracle's and -1 where it is not, times dt
+    **Reward** of a decision that is held for k control steps::
+
+        R = sum over j < k of gamma^j r_j  -  switch_cost [the skill changed]
+
+    where r is the robot's own reward, or +dt where the acting skill is the oracle's and -dt
+    where it is not.  Discounted by gamma^k per decision, R adds up to the return of the
+    control steps (Sutton, Precup and Singh 1999), so decisions of any length have the same
+    objective.  The first decision of an episode is free.
+
+    **Autoreset**: SAME_STEP, as in :class:`Go1Env`, also within a hold.  A robot whose episode
+    ends there is done in this decision, with the reward up to the end and the true final
+    observation.  Its next episode waits for nobody: until the next decision, less than k
+    control steps later, it walks (every course begins on a level platform) and what that
+    earns is nobody's.  ``info["episode"]`` counts control steps.
     """
 
-    def __init__(self, env: Go1Env, hierarchy: Hierarchy, reward: str):
+    def __init__(
+        self,
+        env: Go1Env,
+        hierarchy: Hierarchy,
+        reward: str,
+        config: SelectorConfig = SelectorConfig(),
+        gamma: float = 0.99,
+    ):
+        """Take over the robots.
+
+        Parameters
+        ----------
+        env : the robots
+        hierarchy : the frozen skills; its chooser is not used
+        reward : "environment" for the robots' own reward, "oracle" for agreement with the oracle
+        config : length of a hold, cost of a switch
+        gamma : discount per control step
+        """
         self.env, self.hierarchy, self.reward = env, hierarchy, reward
+        self.config, self.gamma = config, gamma
+        self._walk = hierarchy.labels[SKILLS.index("walk")]
         self._observation = np.zeros((env.num_envs, OBS_DIM), np.float32)
+        self._previous = np.full(env.num_envs, -1)  # skill of the last decision; -1: none in this episode
 
     def reset(self, seed: int | None = None) -> tuple[np.ndarray, dict]:
         """Start new episodes."""
         self._observation, info = self.env.reset(seed)
+        self._previous[:] = -1
         return self._observation, info
 
     def step(self, skill: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
-        """Execute the chosen skills (N,) for one control step."""
+        """Execute the chosen skills (N,) for ``decision_steps`` control steps."""
+        acting = skill.copy()
+        total = -self.config.switch_cost * ((self._previous >= 0) & (skill != self._previous))
+        terminated, truncated = np.zeros(len(skill), bool), np.zeros(len(skill), bool)
+        ended, info = terminated, {}
+        for j in range(self.config.decision_steps):
+            reward, ends, times_out, latest = self._control_step(acting)
+            # R = sum of gamma^j r_j, up to the first end of an episode
+            total = total + self.gamma**j * reward * ~ended
+            info = keep_rows(info, latest, ended) if ended.any() else latest
+            terminated = terminated | (ends & ~ended)
+            truncated = truncated | (times_out & ~ended)
+            ended = terminated | truncated
+            acting[ended] = self._walk
+        self._previous = np.where(ended, -1, skill)
+        return self._observation, total, terminated, truncated, info
+
+    def _control_step(self, skill: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict]:
+        """Execute skills (N,) for one control step; return reward, terminated, truncated, info."""
         wanted = self.hierarchy.labels[self.env.oracle_skill()]
         action = self.hierarchy.execute(self._observation, skill)
         self._observation, reward, terminated, truncated, info = self.env.step(action)
         if self.reward == "oracle":
             # r = +1 right, -1 wrong: an L1 norm with the same weight for both (section 3.2.2)
             reward = np.where(skill == wanted, 1.0, -1.0) * self.env.config.dt
-        return self._observation, reward, terminated, truncated, info
+        return reward, terminated, truncated, info
+
+
+def keep_rows(before: dict, after: dict, robots: np.ndarray) -> dict:
+    """Return ``after`` with the rows of ``robots`` (N,) bool from ``before``, in nested dicts too."""
+    kept = {}
+    for key, value in after.items():
+        if isinstance(value, dict):
+            kept[key] = keep_rows(before[key], value, robots)
+        else:
+            kept[key] = np.where(robots.reshape(-1, *[1] * (value.ndim - 1)), before[key], value)
+    return kept
 
 
 @dataclass(frozen=True)
@@ -156,7 +234,8 @@ def collect_labels(env: Go1Env, actor: Hierarchy, oracle: Hierarchy, num_states:
         scandots.append(observation[:, SCANDOTS].copy())
         labels.append(oracle.choose(observation, env))
         action, _ = actor.act(observation, env)
-        observation, *_ = env.step(action)
+        observation, _, terminated, truncated, _ = env.step(action)
+        actor.reset(np.flatnonzero(terminated | truncated))
     return np.concatenate(scandots), np.concatenate(labels)
 
 

@@ -1,50 +1,129 @@
 """Table 1: every policy on every terrain, beside the paper's figures.
 
 Paper Table 1: 11 policies x 4 environments, 43 cells (Climb on Beam is missing there).
+PS-RL-3 stands there for one of two selectors that section 3.2.2 trains; both have rows of
+their own here, and the one that PS-RL-3 names is played once for both.
 The paper's own numbers are package data, ``table1_paper.csv``, transcribed from it; a dash
 there (edge violation of hierarchies, one reward) stays empty.
 
-In:  a preset, a seed, weights.  Out: cells, and the table as text, CSV, Markdown and PNG.
+In:  an evaluation config, training seeds, weights.  Out: cells, and rows that summarise them.
 """
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
+from agility_ref import weights
+from agility_ref.cells import Cell, Cells, acting_policies, enter, find_cell, seeds_of
 from agility_ref.errors import UserError
-from agility_ref.evaluate import METRICS, Evaluation, EvaluationConfig, evaluate, evaluation_world
+from agility_ref.evaluate import METRICS, EvaluationConfig, evaluation_world, mean_std
 from agility_ref.policies import ENVIRONMENTS, POLICIES, TABLE_ROWS, find_policy
-from agility_ref.runs import TrainConfig, load_policy, train_policy
+from agility_ref.runs import TrainConfig, train_policy
+from agility_ref.stats import bootstrap_interval, iqm, wilson_interval
 
+EXTRA_ROWS = ("ps-rl-3-env", "ps-rl-3-oracle")  # beyond the paper: the two rewards of section 3.2.2
 ENVIRONMENT_LABELS = {"climb-gap": "Climb+Gap", "gap": "Gap", "beam": "Beam", "climb": "Climb"}
 PAPER_LABELS = {"ps-rl-3": "PS-RL-3"} | {name: POLICIES[name].label for name in TABLE_ROWS if name in POLICIES}
 
-Cells = dict[tuple[str, str], dict]
-"""(environment, policy) as the paper labels them -> {"paper": ..., "ours": ... or None}."""
+MeanStd = dict[str, tuple[float, float]]
+"""metric -> mean and standard deviation over episodes, as the paper prints them."""
+Interval = tuple[float, float, float]
+"""Estimate, and the lower and upper end of its 95 % interval."""
 
 
-def paper_cells() -> Cells:
-    """Read the paper's 43 cells: metric -> (mean, std), NaN where the paper has a dash."""
+@dataclass(frozen=True)
+class Summary:
+    """What the table says of one policy on one terrain, from the cells of all its seeds."""
+
+    mean_std: MeanStd
+    """Over the episodes of all seeds together; NaN where there is nothing to divide by."""
+    iqm: dict[str, Interval]
+    """metric -> interquartile mean with its stratified bootstrap interval; empty as published."""
+    success: Interval | None
+    """Share of episodes that reach all 8 waypoints, with its Wilson interval; None as published."""
+    steps: int
+    """Environment steps spent on the policy, the mean over seeds."""
+    seeds: tuple[int, ...]
+    """Training seeds."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table."""
+
+    environment: str
+    """As the paper labels it."""
+    policy: str
+    """Likewise."""
+    paper: MeanStd | None
+    """The paper's figures, NaN for a dash; None for a line that the paper does not have."""
+    ours: Summary | None
+    """None where weights are missing."""
+
+
+def paper_cells() -> dict[tuple[str, str], MeanStd]:
+    """Read the paper's 43 cells: (environment, policy) as labelled there -> its figures."""
     text = (resources.files("agility_ref") / "table1_paper.csv").read_text()
-    cells = {}
-    for row in csv.DictReader(text.splitlines()):
-        values = {m: tuple(float(row[f"{m}_{k}"] or "nan") for k in ("mean", "std")) for m in METRICS}
-        cells[row["environment"], row["policy"]] = {"paper": values, "ours": None}
-    return cells
+    return {
+        (row["environment"], row["policy"]): {
+            m: tuple(float(row[f"{m}_{k}"] or "nan") for k in ("mean", "std")) for m in METRICS
+        }
+        for row in csv.DictReader(text.splitlines())
+    }
 
 
-def summarise(evaluations: list[Evaluation]) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of each metric over the episodes of all seeds."""
-    pooled = {m: np.concatenate([getattr(e, m) for e in evaluations]) for m in METRICS}
-    return {m: (float(v.mean()), float(v.std())) for m, v in pooled.items()}
+def table_lines() -> list[tuple[str, str]]:
+    """Return (environment, policy) of every line, by their command-line names: 43 of the paper, 8 beyond."""
+    paper = paper_cells()
+    return [
+        (environment, name)
+        for environment in ENVIRONMENTS
+        for name in (*TABLE_ROWS, *EXTRA_ROWS)
+        if name in EXTRA_ROWS or (ENVIRONMENT_LABELS[environment], PAPER_LABELS[name]) in paper
+    ]
+
+
+# ---------------------------------------------------------------------------- seeds
+
+
+def parse_seeds(words: Iterable[str]) -> tuple[int, ...] | None:
+    """Read training seeds: ``0``, ``0 1 2``, ``0,1,2``; None for ``all``.
+
+    >>> parse_seeds(["2,0", "1"])
+    (0, 1, 2)
+
+    Raises
+    ------
+    UserError : neither whole numbers from 0 on nor the word all
+    """
+    words = [part for word in words for part in word.replace(",", " ").split()]
+    if words == ["all"]:
+        return None
+    if not words or not all(word.isdecimal() for word in words):
+        raise UserError(f"seeds are numbers such as 0 1 2, or all; not {' '.join(words)!r}")
+    return tuple(sorted({int(word) for word in words}))
+
+
+def seeds_with_weights(policy: str, training: TrainConfig) -> tuple[int, ...]:
+    """Return the seeds for which this policy and all its skills are trained; (0,) if there are none."""
+    found = []
+    for name in acting_policies(policy):
+        own = {path.parent.name for path in (training.root / name).glob("seed*/DONE")}
+        shipped = {path.stem.rpartition("-")[2] for path in weights.FOLDER.glob(f"{name}-{training.preset}-seed*.npz")}
+        found.append({int(seed.removeprefix("seed")) for seed in own | shipped})
+    return tuple(sorted(set.intersection(*found))) or (0,)
+
+
+# ---------------------------------------------------------------------------- computing
 
 
 def train_all(config: TrainConfig, quiet: bool = False) -> None:
     """Train every policy of the table that has no finished run yet."""
-    for name in ("walk", *TABLE_ROWS, *(n for n in POLICIES if n.startswith("ps-rl-3"))):
+    for name in ("walk", *TABLE_ROWS, *EXTRA_ROWS):
         spec = find_policy(name)
         folder = config.root / spec.name / f"seed{config.seed}"
         if spec.method != "oracle" and not (folder / "DONE").exists():
@@ -54,87 +133,60 @@ def train_all(config: TrainConfig, quiet: bool = False) -> None:
 def compute(
     config: EvaluationConfig,
     training: TrainConfig,
-    on_cell: Callable[[str, str], None] = lambda environment, policy: None,
+    folder: Path,
+    seeds: tuple[int, ...] | None = (0,),
+    on_play: Callable[[str, str, int], None] = lambda policy, environment, seed: None,
 ) -> tuple[Cells, list[str]]:
-    """Evaluate every cell whose weights exist; return the cells and what is missing."""
+    """Find or play every cell whose weights exist; return the cells and what is missing.
+
+    Parameters
+    ----------
+    config : what is played
+    training : where the weights are; its seed is not used
+    folder : where cells are stored, and found by an interrupted table
+    seeds : training seeds; None for all that have weights, policy by policy
+    on_play : called with policy, environment and seed before a cell is played
+    """
     evaluation_world(ENVIRONMENTS[0], config)  # a bad config is an error even where all weights are missing
-    cells, missing = paper_cells(), []
-    for environment in ENVIRONMENTS:
-        for name in TABLE_ROWS:
-            key = (ENVIRONMENT_LABELS[environment], PAPER_LABELS[name])
-            if key not in cells:
-                continue
+    lines = dict.fromkeys((environment, find_policy(name).name) for environment, name in table_lines())
+    entrants, missing = [], []
+    for policy in dict.fromkeys(policy for _, policy in lines):
+        for seed in seeds if seeds is not None else seeds_with_weights(policy, training):
             try:
-                policy = load_policy(name, training)
+                entrants.append(enter(policy, replace(training, seed=seed)))
             except UserError as error:
                 missing.append(str(error))
-                continue
-            on_cell(environment, name)
-            cells[key]["ours"] = summarise([evaluate(policy, environment, config)])
+    cells = {
+        (entrant.policy, environment, entrant.seed): find_cell(entrant, environment, config, folder, on_play)
+        for environment in ENVIRONMENTS  # the outer loop: all play on the courses of one terrain, then of the next
+        for entrant in entrants
+        if (environment, entrant.policy) in lines
+    }
     return cells, list(dict.fromkeys(missing))
 
 
-# ---------------------------------------------------------------------------- output
-
-HEADINGS = {
-    "reward": "Reward",
-    "episode_length": "Ep. length",
-    "waypoint_fraction": "% WP",
-    "edge_violation": "Violation",
-}
-DIGITS = {"reward": 2, "episode_length": 0, "waypoint_fraction": 2, "edge_violation": 2}
-
-
-def format_value(value: tuple[float, float] | None, metric: str) -> str:
-    """Return "mean ± std" with the metric's digits, or a dash."""
-    if value is None or np.isnan(value[0]):
-        return "-"
-    return f"{value[0]:.{DIGITS[metric]}f} ± {value[1]:.{DIGITS[metric]}f}"
+def table_rows(cells: Cells) -> list[Row]:
+    """Summarise the cells, in the order of the paper."""
+    paper, rows = paper_cells(), []
+    for environment, name in table_lines():
+        extra = name in EXTRA_ROWS
+        label, policy = (POLICIES[name].label if extra else PAPER_LABELS[name]), find_policy(name).name
+        seeds = seeds_of(cells, policy, environment)
+        figures = None if extra else paper[ENVIRONMENT_LABELS[environment], label]
+        ours = summarise([cells[policy, environment, seed] for seed in seeds]) if seeds else None
+        rows.append(Row(ENVIRONMENT_LABELS[environment], label, figures, ours))
+    return rows
 
 
-def markdown(cells: Cells) -> str:
-    """Return the table in Markdown, ours and the paper's side by side."""
-    columns = [f"{HEADINGS[m]} {who}" for m in METRICS for who in ("ours", "paper")]
-    lines = ["| Environment | Policy | " + " | ".join(columns) + " |", "|---" * (len(columns) + 2) + "|"]
-    for (environment, label), cell in cells.items():
-        values = [format_value(cell[who] and cell[who][m], m) for m in METRICS for who in ("ours", "paper")]
-        lines.append(f"| {environment} | {label} | " + " | ".join(values) + " |")
-    return "\n".join(lines) + "\n"
-
-
-def text(cells: Cells) -> str:
-    """Return the table for a terminal."""
-    lines = [f"{'':11}{'':9}" + "".join(f"{HEADINGS[m]:>17}{'paper':>17}" for m in METRICS)]
-    previous = ""
-    for (environment, label), cell in cells.items():
-        values = "".join(
-            f"{format_value(cell[who] and cell[who][m], m):>17}" for m in METRICS for who in ("ours", "paper")
-        )
-        lines.append(f"{environment if environment != previous else '':11}{label:9}{values}")
-        previous = environment
-    return "\n".join(lines)
-
-
-def write_csv(cells: Cells, path: Path) -> None:
-    """Write one row a cell: ours, then the paper's, mean and standard deviation."""
-    with open(path, "w", newline="") as file:
-        writer = csv.writer(file)
-        heads = [f"{m}_{k}_{who}" for who in ("ours", "paper") for m in METRICS for k in ("mean", "std")]
-        writer.writerow(["environment", "policy", *heads])
-        for (environment, label), cell in cells.items():
-            numbers = [
-                v for who in ("ours", "paper") for m in METRICS for v in (cell[who][m] if cell[who] else ("", ""))
-            ]
-            writer.writerow([environment, label, *("" if v == "" or np.isnan(v) else f"{v:.4f}" for v in numbers)])
-
-
-def write_all(cells: Cells, folder: Path, title: str) -> list[Path]:
-    """Write table1.csv, table1.md and table1.png; return their paths."""
-    from agility_ref.plots import table_figure
-
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"table1.{suffix}" for suffix in ("csv", "md", "png")]
-    write_csv(cells, paths[0])
-    paths[1].write_text(f"# {title}\n\n{markdown(cells)}")
-    table_figure(cells, paths[2], title)
-    return paths
+def summarise(cells: list[Cell]) -> Summary:
+    """Summarise one policy on one terrain over its training seeds."""
+    protocol = cells[0].protocol
+    scores = {m: [cell.arrays[m] for cell in cells] for m in METRICS}
+    pooled = {m: mean_std(np.concatenate(values), m, protocol) for m, values in scores.items()}
+    intervals, success = {}, None
+    if protocol == "complete":  # as published, seeds differ in their number of episodes
+        intervals = {m: (iqm(np.stack(v)), *bootstrap_interval(np.stack(v))) for m, v in scores.items()}
+        reached = np.concatenate(scores["waypoint_fraction"]) == 1.0
+        success = (float(reached.mean()), *wilson_interval(int(reached.sum()), len(reached)))
+    steps = round(float(np.mean([cell.steps for cell in cells])))
+    return Summary(pooled, intervals, success, steps, tuple(cell.seed for cell in cells))

@@ -1,4 +1,4 @@
-"""Video of an episode: WebP or GIF through Pillow, rendered without a display.
+"""Video of an episode: WebP or GIF through Pillow, MP4 through ffmpeg, rendered without a display.
 
 Call :func:`agility_ref.graphics.choose_gl` before anything imports mujoco.
 
@@ -7,6 +7,7 @@ In:  an :class:`~agility_ref.record.Episode`.  Out: a file.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import mujoco
@@ -43,7 +44,7 @@ class VideoConfig:
     distance: float = 1.9
     """From the robot to the camera [m]; usual 1.2 to 4."""
     quality: int = 70
-    """Of WebP, 1 to 100."""
+    """Of WebP and MP4, 1 to 100."""
 
 
 def open_renderer(model: mujoco.MjModel, config: VideoConfig) -> mujoco.Renderer:
@@ -114,16 +115,18 @@ def write_video(images: Iterator[np.ndarray], out: Path, config: VideoConfig, co
     UserError : another suffix, no image, or .mp4 without imageio-ffmpeg
     """
     out = Path(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    if out.suffix == ".mp4":
-        return _write_mp4(images, out, config, command)
-    if out.suffix not in (".webp", ".gif"):
+    if out.suffix not in (".webp", ".gif", ".mp4"):
         raise UserError(f"a video ends in .webp, .gif or .mp4, not {out.suffix or out.name!r}")
+    first = next(images, None)
+    if first is None:
+        raise UserError("nothing to film: --start lies behind the end of the episode")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    images = chain([first], images)
+    if out.suffix == ".mp4":
+        return _write_mp4(images, out, first.shape, config, command)
     from PIL import Image
 
     pictures = [Image.fromarray(image) for image in images]
-    if not pictures:
-        raise UserError("nothing to film: --start lies behind the end of the episode")
     options = {"save_all": True, "append_images": pictures[1:], "duration": round(1000 / config.fps), "loop": 0}
     if out.suffix == ".gif":
         palette = pictures[len(pictures) // 2].quantize(128)
@@ -137,19 +140,23 @@ def write_video(images: Iterator[np.ndarray], out: Path, config: VideoConfig, co
     return len(pictures)
 
 
-def _write_mp4(images: Iterator[np.ndarray], out: Path, config: VideoConfig, command: str) -> int:
+def _write_mp4(
+    images: Iterator[np.ndarray], out: Path, shape: tuple[int, ...], config: VideoConfig, command: str
+) -> int:
+    """Pipe images of one shape into ffmpeg (H.264, which every browser plays); return their number."""
     try:
         import imageio_ffmpeg
     except ImportError:
         raise UserError("MP4 needs one more package: pip install imageio-ffmpeg; .webp and .gif need none") from None
-    tags = ["-metadata", f"comment={command}; {made_with()}"]
+    height, width = shape[0] // 2 * 2, shape[1] // 2 * 2  # its colours are stored for squares of 2 x 2 pixels
     writer = imageio_ffmpeg.write_frames(
-        str(out), (config.width, config.height), fps=config.fps, macro_block_size=2, output_params=tags
-    )
+        str(out), (width, height), fps=config.fps, quality=config.quality / 10, macro_block_size=2,
+        output_params=["-metadata", f"comment={command}; {made_with()}", "-movflags", "+faststart"],
+    )  # fmt: skip
     writer.send(None)
     count = 0
     for image in images:
-        writer.send(np.ascontiguousarray(image))
+        writer.send(np.ascontiguousarray(image[:height, :width]))
         count += 1
     writer.close()
     return count

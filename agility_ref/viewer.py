@@ -138,7 +138,7 @@ def open_server(port: int):
     sky = np.linspace([150, 190, 230], [238, 244, 249], 64).astype(np.uint8)
     server.scene.set_background_image(np.repeat(sky[:, None], 2, axis=1))
     server.scene.configure_environment_map("studio", environment_intensity=0.35)
-    server.initial_camera.position, server.initial_camera.look_at = (-1.1, -1.9, 0.9), (0.3, 0.0, 0.2)
+    server.initial_camera.position, server.initial_camera.look_at = (-0.9, -1.6, 0.75), (0.3, 0.0, 0.2)
     return server
 
 
@@ -198,16 +198,19 @@ class Stage:
                 name = f"/course/{self.model.body(body).name}"
                 mesh = trimesh.util.concatenate([geom_mesh(self.model, g) for g in geoms])
                 self.bodies[body] = server.scene.add_mesh_trimesh(name, mesh)
-        colour = tuple(int(WAYPOINT_COLOURS["ahead"][k : k + 2], 16) for k in (1, 3, 5))
-        self.balls = [
-            server.scene.add_icosphere(f"/course/waypoint{k}", 0.035, color=colour, position=self.model.geom_pos[g])
-            for k, g in enumerate(balls)
-        ]
+        self.waypoints = self.model.geom_pos[balls]
+        for k, place in enumerate(self.waypoints):
+            self._ball(f"/course/waypoint{k}", 0.035, "ahead", place)
+        # One ball that moves: a browser without a GPU shows a new position at once, a new colour seconds later.
+        self.goal = self._ball("/course/goal", 0.042, "current", self.waypoints[0])
         self.label = server.scene.add_label("/label", "", position=(0.0, 0.0, 0.55))
-        self._waypoint = -1
+
+    def _ball(self, name: str, radius: float, state: str, position: np.ndarray):
+        colour = tuple(int(WAYPOINT_COLOURS[state][k : k + 2], 16) for k in (1, 3, 5))
+        return self.server.scene.add_icosphere(name, radius, color=colour, position=position)
 
     def update(self, qpos: np.ndarray, waypoint: int, label: str) -> None:
-        """Move the robot, colour the waypoints, write the active skill above the trunk."""
+        """Move the robot, mark the current waypoint, write the active skill above the trunk."""
         self.data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self.data)
         with self.server.atomic():
@@ -217,11 +220,7 @@ class Stage:
                     handle.position, handle.wxyz = self.data.xpos[body], self.data.xquat[body]
             if label != self.label.text:
                 self.label.text = label
-            if waypoint != self._waypoint:
-                self._waypoint = waypoint
-                for k, ball in enumerate(self.balls):
-                    state = "reached" if k < waypoint else "current" if k == waypoint else "ahead"
-                    ball.color = tuple(int(WAYPOINT_COLOURS[state][c : c + 2], 16) for c in (1, 3, 5))
+            self.goal.position = self.waypoints[min(waypoint, NUM_WAYPOINTS - 1)]
 
     def remove(self) -> None:
         """Take everything off the page."""

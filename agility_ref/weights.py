@@ -6,15 +6,17 @@ In:  finished run folders.  Out: files without the optimiser, and a manifest tha
 checks them against.  ``python -m agility_ref.weights RUNS...`` adds runs to the package.
 """
 
-import csv
 import json
 import sys
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
+
 from agility_ref import checkpoint
 from agility_ref.errors import UserError
 from agility_ref.policies import find_policy
+from agility_ref.progress import read_progress
 
 FOLDER = Path(str(resources.files("agility_ref") / "weights"))
 CURVE_POINTS = 60  # points of progress.csv that the manifest keeps ...
@@ -48,11 +50,10 @@ def shipped(preset: str, policy: str, seed: int, folder: Path = FOLDER) -> Path 
     return path
 
 
-def _curve(progress: Path) -> dict[str, list[float]]:
-    with open(progress, newline="") as file:
-        rows = list(csv.DictReader(file))
-    stride = max(1, len(rows) // CURVE_POINTS)
-    return {key: [float(row[key]) for row in rows[stride - 1 :: stride]] for key in CURVE_COLUMNS if key in rows[0]}
+def _thin(values: np.ndarray) -> list[float]:
+    """Keep about CURVE_POINTS values, the last one among them where they divide evenly."""
+    stride = max(1, len(values) // CURVE_POINTS)
+    return values[stride - 1 :: stride].tolist()
 
 
 def ship(run: Path, folder: Path = FOLDER) -> Path:
@@ -69,9 +70,9 @@ def ship(run: Path, folder: Path = FOLDER) -> Path:
     path = folder / file_name(meta["preset"], meta["policy"], meta["seed"])
     checkpoint.save(path, kept, {key: value for key, value in meta.items() if key != "schema"})
     record = {key: meta[key] for key in ("policy", "preset", "seed", "steps", "wall_seconds", "courses", "versions")}
-    entries = manifest(folder) | {
-        path.name: {"sha256": checkpoint.sha256(path), **record, "curve": _curve(run / "progress.csv")}
-    }
+    progress = read_progress(run / "progress.csv")
+    curve = {key: _thin(progress[key]) for key in CURVE_COLUMNS if key in progress}
+    entries = manifest(folder) | {path.name: {"sha256": checkpoint.sha256(path), **record, "curve": curve}}
     (folder / "manifest.json").write_text(json.dumps(entries, sort_keys=True) + "\n")
     return path
 

@@ -24,11 +24,15 @@ from agility_ref.env import EnvConfig, Go1Env  # first: it sets OMP_WAIT_POLICY
 # isort: split
 import mujoco
 import numpy as np
+import tyro
 from mujoco import batch
 
 from agility_ref.curriculum import Curriculum, CurriculumConfig, training_world
+from agility_ref.errors import UserError
 from agility_ref.go1 import DEFAULT_DOF_POS, STAND_HEIGHT, PhysicsConfig, make_model, make_xml
+from agility_ref.placement import Placement
 from agility_ref.policies import PRESETS
+from agility_ref.task import TRAINING
 from agility_ref.terrain import CELL, COURSE_KINDS, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, Box, Course, make_course
 from agility_ref.world import height_map
 
@@ -138,6 +142,15 @@ def report(as_json: bool, started: dict, figures: dict, *tables: list[dict]) -> 
     print(f"{started['cpu']}, {started['cores']} cores, load {started['load_average']:.1f} before; {versions}")
 
 
+def start(main: Callable[[object], None], config: type) -> None:
+    """Read the command line and run a benchmark; a mistake of the user is one line and exit status 2."""
+    try:
+        main(tyro.cli(config))
+    except UserError as error:
+        print(f"{os.path.basename(sys.argv[0])}: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
 def require(name: str, package: str) -> ModuleType:
     """Import an optional module; where it is missing, say so in one line and exit with status 2."""
     try:
@@ -226,7 +239,7 @@ class Trotters:
         self.substeps, self.num_robots, self.steps = substeps, num_robots, steps
         which = np.arange(num_robots) % len(models)
         self.batch = batch.Batch(models[0], num_robots, num_threads)
-        self.batch.set_models([models[k] for k in which])
+        Placement(self.batch, models).place(np.arange(num_robots), which)
         self.batch.reset(keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE)
         qpos, heights = self.batch.bind("qpos"), {k: height_map(courses[k]) for k in np.unique(which)}
         for i, k in enumerate(which):
@@ -266,10 +279,10 @@ class Taped:
         """Wrap an environment."""
         self.env = env
         self.bare = batch.Batch(env.models[0], env.num_envs, env.batch.nthread)
+        self._placement, self._course = Placement(self.bare, env.models), np.full(env.num_envs, -1)
         self.nstep = env.config.physics.substeps * env.config.action_repeat
         self.tape: list[tuple] = []
         self.step_seconds = self.tape_seconds = 0.0
-        self._models = None
 
     def __getattr__(self, name: str):
         return getattr(self.env, name)
@@ -277,11 +290,11 @@ class Taped:
     def step(self, action: np.ndarray):
         """Step the environment; record outside the time that counts."""
         start = time.perf_counter()
-        before, models = self.env.batch.state.copy(), self.env.batch.models
+        before, course = self.env.batch.state.copy(), self.env.course.copy()
         called = time.perf_counter()
         result = self.env.step(action)
         returned = time.perf_counter()
-        self.tape.append((before, models, self.env.batch.ctrl.copy()))
+        self.tape.append((before, course, self.env.batch.ctrl.copy()))
         self.step_seconds += returned - called
         self.tape_seconds += time.perf_counter() - returned + called - start
         return result
@@ -293,10 +306,10 @@ class Taped:
     def replay(self) -> float:
         """Simulate the tape without the environment; return the seconds of Batch.step alone."""
         seconds, ctrl = 0.0, self.bare.bind("ctrl")
-        for state, models, targets in self.tape:
-            if models is not self._models:
-                self.bare.set_models(models)
-                self._models = models
+        for state, course, targets in self.tape:
+            moved = np.flatnonzero(course != self._course)
+            self._placement.place(moved, course[moved])
+            self._course = course
             self.bare.state[:] = state
             ctrl[:] = targets
             start = time.perf_counter()
@@ -308,7 +321,7 @@ class Taped:
         return seconds
 
 
-def walk_training(seed: int, num_envs: int, config: EnvConfig = EnvConfig()) -> tuple[Go1Env, Curriculum]:
+def walk_training(seed: int, num_envs: int, config: EnvConfig = TRAINING) -> tuple[Go1Env, Curriculum]:
     """Build what ``agility-ref train walk --preset quick`` trains on."""
     levels = CurriculumConfig()
     world = training_world(("walk",), levels, PRESETS["quick"].max_difficulty, seed)

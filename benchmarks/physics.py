@@ -209,7 +209,7 @@ def hold(path: str, config: Config) -> list[dict]:
             evaluate(Single(name, policy), environment, evaluation, EnvConfig(physics=p))
             for p in (physics, fine(physics))
         )
-        low, high = bootstrap_interval(trained.waypoint_fraction, lambda x: float(x.mean()))
+        low, high = bootstrap_interval(trained.waypoint_fraction, np.mean)
         rows.append(
             {
                 "policy": name,

@@ -49,6 +49,10 @@ def refuses(capsys):
     ("train oracle", ["oracle needs no training"]),
     ("evaluate walk --environment gap", ["no weights for walk", "agility-ref train walk"]),
     ("plot nowhere", ["nowhere", "progress.csv"]),
+    ("table1 --seeds 0 x", ["seeds", "'0 x'", "all"]),
+    ("table1 --protocol published", ["unknown protocol 'published'", "as-published"]),
+    ("table1 --train --seeds all", ["--train", "numbers"]),
+    ("table1 --findings --protocol as-published", ["--protocol complete"]),
 ])  # fmt: skip
 def test_bad_input_is_one_line(refuses, command, expected):
     refuses(command, *expected)
@@ -189,8 +193,39 @@ def test_train_prints_its_folder(capsys, tmp_path):
 def test_table1_with_nothing_trained(capsys, tmp_path):
     assert main(f"table1 --out {tmp_path} --results {tmp_path / 'results'} --episodes 1".split()) == 0
     out = capsys.readouterr().out
-    assert "0 of 43 cells filled" in out and "missing: no weights for" in out
+    assert "0 of 43 cells filled, and 0 of 8 beyond the paper" in out and "missing: no weights for" in out
     assert (tmp_path / "results" / "table1.md").exists()
+
+
+def test_table1_of_several_seeds(capsys, tmp_path, finished_run, short_episodes):
+    for seed in (0, 3):
+        finished_run(tmp_path / "runs" / "full", "walk", seed)
+    assert main("table1 --seeds all --findings --episodes 2".split()) == 0
+    out = capsys.readouterr().out
+    assert "4 of 43 cells filled" in out and "0, 3" in out and "NOT MEASURED: Curriculum is crucial." in out
+    assert sorted(p.name for p in (tmp_path / "results").iterdir()) == [
+        "cells", "findings.md", "table1.csv", "table1.md", "table1.png", "table1.svg", "table1.tex",
+    ]  # fmt: skip
+    assert len(list((tmp_path / "results" / "cells").glob("walk-*-seed[03].npz"))) == 8
+    assert main("table1 --seeds 0,3 --episodes 2".split()) == 0
+    assert capsys.readouterr().err.count("evaluating") == 0  # all found in results/cells
+
+
+def test_table1_as_published(capsys, tmp_path, finished_run, short_episodes):
+    finished_run(tmp_path / "runs" / "full", "walk")
+    assert main("table1 --episodes 2 --protocol as-published".split()) == 0
+    out = capsys.readouterr().out
+    assert "4 of 43 cells filled" in out and "interquartile" not in out
+    assert "counted as-published" in (tmp_path / "results" / "table1.md").read_text()
+
+
+def test_an_interrupted_table1_says_how_to_go_on(capsys, monkeypatch, tmp_path):
+    def interrupted(*args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("agility_ref.table1.compute", interrupted)
+    assert main(["table1"]) == 130
+    assert "the same command goes on from results/cells" in capsys.readouterr().err
 
 
 def test_interrupting_exits_with_130(capsys, monkeypatch):

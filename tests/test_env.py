@@ -17,6 +17,7 @@ from agility_ref.observation import (
     rotation,
     wrap,
 )
+from agility_ref.task import TRAINING
 from agility_ref.terrain import COURSE_KINDS, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, make_course
 from agility_ref.world import World
 
@@ -411,6 +412,36 @@ def test_episode_sums_are_those_of_the_steps():
     _, reward, _, _, info = env.step(still(env))  # a new episode
     np.testing.assert_array_equal(info["episode"]["reward"], reward)
     assert (info["episode"]["length"] == 1).all()
+
+
+def test_stalling_terminates_in_training_only():
+    # Robots that stand on the start platform reach no waypoint: over after 0.1 s, 5 steps.
+    env = make_env("walk", config=replace(CLEAN, stall_seconds=0.1))
+    for k in range(10):
+        _, _, terminated, _, _ = env.step(still(env))
+        assert terminated.all() == (k % 5 == 4)
+    assert EnvConfig().stall_seconds == 0.0 < TRAINING.stall_seconds
+
+
+def test_a_waypoint_restarts_the_stall_clock():
+    env = make_env("walk", config=replace(CLEAN, stall_seconds=0.2))  # 10 steps
+    x, y = env.world.waypoints[0, 0]
+    for k in range(20):
+        if k == 3:  # robot 0 stays at its first waypoint from step 3 on: reached 5 steps later, after step 8
+            stand(env, [0], x, y)
+        _, _, terminated, _, _ = env.step(still(env))
+        assert terminated[1] == (k in (9, 19))
+        assert terminated[0] == (k == 17)
+
+
+def test_turned_starts_face_anywhere():
+    env = make_env("walk", n=400, config=replace(CLEAN, turned_start_share=0.5))
+    yaw = env.yaw
+    np.testing.assert_allclose(2 * np.arctan2(env._qpos[:, 6], env._qpos[:, 3]), yaw, atol=1e-9)
+    # Half are uniform in +-pi, of which 0.1 / pi = 3 % lie in the +-0.1 rad of all others.
+    assert 0.4 < (np.abs(yaw) > 0.1).mean() < 0.57
+    assert yaw.min() < -2.5 and yaw.max() > 2.5
+    assert (np.abs(make_env("walk", n=400).yaw) <= 0.1).all()
 
 
 @pytest.mark.parametrize("kind", COURSE_KINDS)

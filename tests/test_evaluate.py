@@ -1,19 +1,27 @@
 import json
+from collections import deque
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from agility_ref import evaluate as module
 from agility_ref.env import EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import (
     METRICS,
     EvaluationConfig,
+    as_published,
+    commonest_share,
     edge_violation,
     episode_length,
     evaluate,
     evaluation_env,
     evaluation_world,
+    mean_std,
+    oracle_accuracy,
     reward_metric,
+    switches_per_second,
     waypoint_fraction,
 )
 from agility_ref.policies import ENVIRONMENTS
@@ -52,6 +60,115 @@ def test_edge_violation_by_hand():
     np.testing.assert_allclose(edge_violation(EDGE, ALIVE), [0.6, 2.0])
 
 
+# --- what a selector did, by hand --------------------------------------------------------
+# The first episode lasts six steps, the second ends with step 4 of 6.
+
+SKILL = np.array([[0, 2], [0, 2], [1, 2], [0, 2], [0, -1], [2, -1]])
+WANTED = np.array([[0, 0], [1, 0], [1, 2], [1, 2], [1, -1], [2, -1]])
+
+
+def test_switches_per_second_by_hand():
+    # 0 0 1 0 0 2: three changes in 6 x 0.5 s; 2 2 2 2: none, and its end is no change
+    np.testing.assert_allclose(switches_per_second(SKILL, 0.5), [1.0, 0.0])
+    # 0 1 1 1 1 2: two in 3 s; 0 0 2 2: one in 2 s
+    np.testing.assert_allclose(switches_per_second(WANTED, 0.5), [2 / 3, 0.5])
+
+
+def test_commonest_share_by_hand():
+    # skill 0 took 4 of 6 steps; skill 2 all of them
+    np.testing.assert_allclose(commonest_share(SKILL), [4 / 6, 1.0])
+    np.testing.assert_allclose(commonest_share(WANTED), [4 / 6, 0.5])
+
+
+def test_oracle_accuracy_by_hand():
+    # right in steps 0, 2, 5 of 6; in steps 2, 3 of 4
+    np.testing.assert_allclose(oracle_accuracy(SKILL, WANTED), [0.5, 0.5])
+
+
+def test_one_step_has_no_switch():
+    np.testing.assert_array_equal(switches_per_second(np.array([[3, 1]]), 0.02), [0.0, 0.0])
+
+
+# --- as published, by hand ---------------------------------------------------------------
+# Five steps of two robots that begin anew when an episode ends.  The first ends in steps 2 and 5,
+# the second in step 3; what it does after that is under way and does not count.
+
+DONE = np.array([[0, 0], [1, 0], [0, 1], [0, 0], [1, 0]], bool)
+RUN_REWARD = np.array([[1.0, 0.5], [2.0, 0.5], [3.0, 1.0], [-1.0, 100.0], [4.0, 100.0]])
+PASSED = np.array([[1, 3], [2, 7], [0, 8], [1, 1], [8, 5]])
+FEET = np.array([[0, 1], [2, 0], [1, 1], [0, 3], [4, 0]])
+
+
+def test_as_published_by_hand():
+    run = as_published(RUN_REWARD, PASSED, FEET, DONE)
+    np.testing.assert_array_equal(run["ends"], [[1, 0], [2, 1], [4, 0]])
+    # 1 + 2; 0.5 + 0.5 + 1; 3 - 1 + 4
+    np.testing.assert_allclose(run["reward"], [3.0, 2.0, 6.0])
+    np.testing.assert_array_equal(run["episode_length"], [2, 3, 3])
+    # before the last step: 1, 7, 1 of "7"; the second waypoint of the first episode is not counted,
+    # and all eight of the second are a seven
+    np.testing.assert_allclose(run["waypoint_fraction"], [1 / 7, 1.0, 1 / 7])
+    # all steps of all robots, under way or not: 12 feet in 10 robot steps
+    assert run["edge_violation"].mean() == 1.2
+
+
+def test_as_published_forgets_all_but_the_last(monkeypatch):
+    monkeypatch.setattr(module, "PUBLISHED_MEMORY", 3)
+    run = as_published(RUN_REWARD, PASSED, FEET, DONE)
+    np.testing.assert_array_equal(run["edge_violation"], [3, 4, 0])  # the last step and a half
+    monkeypatch.setattr(module, "PUBLISHED_MEMORY", 2)
+    run = as_published(RUN_REWARD, PASSED, FEET, DONE)
+    np.testing.assert_allclose(run["reward"], [2.0, 6.0])
+    np.testing.assert_array_equal(run["ends"], [[2, 1], [4, 0]])
+
+
+def test_an_episode_of_one_step_has_passed_nothing():
+    run = as_published(np.ones((2, 1)), np.array([[8], [8]]), np.zeros((2, 1)), np.ones((2, 1), bool))
+    np.testing.assert_array_equal(run["episode_length"], [1, 1])
+    np.testing.assert_array_equal(run["waypoint_fraction"], [0.0, 0.0])
+
+
+def test_as_published_agrees_with_queues_filled_step_by_step():
+    rng = np.random.default_rng(0)
+    steps, robots = 400, 9
+    reward, feet = rng.standard_normal((steps, robots)), rng.integers(0, 5, (steps, robots))
+    done, passed = rng.random((steps, robots)) < 0.4, rng.integers(0, 9, (steps, robots))
+    rewards, lengths, waypoints, edges = (deque(maxlen=1000) for _ in range(4))
+    total, length, before = np.zeros(robots), np.zeros(robots, int), np.zeros(robots, int)
+    for t in range(steps):
+        total += reward[t]
+        length += 1
+        edges.extend(feet[t])
+        for n in range(robots):
+            if done[t, n]:
+                rewards.append(total[n])
+                lengths.append(length[n])
+                waypoints.append(before[n] / 7)
+                total[n], length[n], before[n] = 0.0, 0, 0
+            else:
+                before[n] = passed[t, n]
+    run = as_published(reward, passed, feet, done)
+    assert len(rewards) == 1000
+    for name, queue in zip(METRICS, (rewards, lengths, waypoints, edges), strict=True):
+        np.testing.assert_allclose(run[name], queue, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize("metric, published", [
+    # 1 2 6: mean 3, squares 4 + 1 + 9 over 2; over 3 for the other two
+    ("reward", 7**0.5), ("episode_length", 7**0.5),
+    ("waypoint_fraction", (14 / 3) ** 0.5), ("edge_violation", (14 / 3) ** 0.5),
+])  # fmt: skip
+def test_standard_deviations_by_hand(metric, published):
+    values = np.array([1.0, 2.0, 6.0])
+    assert mean_std(values, metric, "complete") == pytest.approx((3.0, (14 / 3) ** 0.5))
+    assert mean_std(values, metric, "as-published") == pytest.approx((3.0, published))
+
+
+def test_the_deviation_of_one_episode():
+    assert mean_std(np.array([5.0]), "reward", "complete") == (5.0, 0.0)
+    assert np.isnan(mean_std(np.array([5.0]), "reward", "as-published")[1])
+
+
 # --- courses ---------------------------------------------------------------------------
 
 
@@ -85,6 +202,7 @@ def test_more_episodes_keep_the_first_courses():
 @pytest.mark.parametrize("environment, config, message", [
     ("beams", FEW, "unknown environment 'beams': did you mean beam"),
     ("gap", EvaluationConfig(preset="ful"), "unknown preset"),
+    ("gap", EvaluationConfig(protocol="published"), "unknown protocol 'published': did you mean as-published"),
     ("gap", EvaluationConfig(episodes=0), "episodes"),
     ("gap", EvaluationConfig(difficulty=1.5), "difficulty"),
 ])  # fmt: skip
@@ -215,6 +333,45 @@ def test_summary_is_mean_and_std(single):
         assert summary[metric]["std"] == pytest.approx((sum((values - sum(values) / 3) ** 2) / 3) ** 0.5)
 
 
+# --- as published ------------------------------------------------------------------------
+
+PUBLISHED = replace(FEW, protocol="as-published")
+
+
+def test_who_falls_early_counts_several_times(make_policy):
+    class Jump(Single):
+        """Leaves the lane in the third step, on the first course only."""
+
+        def act(self, observation, env):
+            self.step = getattr(self, "step", 0) + 1
+            if self.step == 3:
+                env._qpos[0, 1] = 5.0
+            return np.zeros((len(observation), 12)), None
+
+    evaluation = evaluate(Jump("jump", make_policy()), "walk", PUBLISHED, SHORT)
+    # 45 steps: robot 0 ends in steps 3 and 33, the others in step 30 alone
+    np.testing.assert_array_equal(evaluation.episode_length, [3, 30, 30, 30])
+    np.testing.assert_array_equal(evaluation.fell, [True, False, False, False])
+    d = evaluation_world("walk", PUBLISHED).difficulties
+    np.testing.assert_array_equal(evaluation.difficulty, d[[0, 1, 2, 0]])
+    assert evaluation.edge_violation.shape == (45 * 3,)
+    assert evaluation.summary()["episodes"] == 4 and evaluation.summary()["falls"] == 0.25
+
+
+def test_the_first_episodes_are_those_of_the_complete_protocol(single):
+    # The same courses, starts, noise and pushes until the first end.
+    complete, published = (evaluate(single, "walk", c, SHORT) for c in (FEW, PUBLISHED))
+    first = int(complete.episode_length.argmin())
+    assert published.reward[0] == pytest.approx(complete.reward[first])
+    assert published.episode_length[0] == complete.episode_length[first]
+
+
+def test_choices_are_measured_in_complete_episodes_only(five_skills):
+    oracle = oracle_hierarchy("oracle", five_skills)
+    published = evaluate(oracle, "gap", PUBLISHED, SHORT)
+    assert published.skill is None and published.choices() == {}
+
+
 # --- hierarchies -----------------------------------------------------------------------
 
 
@@ -241,3 +398,24 @@ def test_always_one_skill_evaluates_as_that_skill(five_skills):
     b = arrays(evaluate(Single("leap", five_skills["leap"]), "gap", FEW, SHORT))
     for name in a:
         np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+def test_choices_of_a_constant_selector(five_skills):
+    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3))
+    evaluation = evaluate(hierarchy, "gap", FEW, SHORT)
+    choices = evaluation.choices()
+    np.testing.assert_array_equal(choices["commonest_share"], 1.0)
+    np.testing.assert_array_equal(choices["switches_per_second"], 0.0)
+    np.testing.assert_array_equal(
+        choices["oracle_accuracy"], (evaluation.oracle == 3).sum(0) / evaluation.episode_length
+    )
+
+
+def test_the_oracle_is_what_it_wants(five_skills):
+    choices = evaluate(oracle_hierarchy("oracle", five_skills), "gap", FEW, SHORT).choices()
+    for name in ("switches_per_second", "commonest_share"):
+        np.testing.assert_array_equal(choices[name], choices[f"wanted_{name}"])
+
+
+def test_policies_without_skills_make_no_choices(single):
+    assert evaluate(single, "gap", FEW, SHORT).choices() == {}

@@ -272,7 +272,7 @@ def test_gallery_names_its_dimensions():
     figure = gallery.course_gallery(("climb-up", "gap", "beam"))
     assert len(figure.axes) == 12
     texts = " ".join(t.get_text() for axis in figure.axes for t in axis.texts)
-    for dimension in ("0.1 m", "0.45 m", "0.10 m wide", "0.80 m wide", "1.00 m\ndeep", "0.60 m", "0.12 m"):
+    for dimension in ("0.10 m", "0.45 m", "0.10 m wide", "0.80 m wide", "1.00 m\ndeep", "0.60 m", "0.12 m"):
         assert dimension in texts
 
 

@@ -5,8 +5,19 @@ import pytest
 import torch
 
 from agility_ref.networks import Categorical, Gaussian
+from agility_ref.observation import OBS_DIM
 from agility_ref.policies import PPOConfig
-from agility_ref.ppo import Learner, adapt_learning_rate, collect, gae, policy_loss, train, update
+from agility_ref.ppo import (
+    Learner,
+    Rollout,
+    adapt_learning_rate,
+    collect,
+    gae,
+    mirror_alternate,
+    policy_loss,
+    train,
+    update,
+)
 
 torch.set_num_threads(1)
 TINY = PPOConfig(num_envs=8, num_steps=16, hidden=(16,), update_epochs=2, num_minibatches=2)
@@ -396,3 +407,26 @@ def test_ppo_learns_to_choose():
     with torch.no_grad():
         chosen = learner.net.actor(torch.from_numpy(obs)).argmax(-1).numpy()
     assert (chosen == (x > 0))[np.abs(x) > 0.1].all()
+
+
+# --- mirror images ---------------------------------------------------------------------
+
+
+def test_mirrored_samples_keep_their_probabilities():
+    learner = Learner.create(OBS_DIM, 12, replace(TINY, mirror=True), 0)
+    rng, gen = np.random.default_rng(0), torch.Generator().manual_seed(0)
+    raw = rng.normal(size=(3, 4, OBS_DIM)).astype(np.float32)
+    obs = torch.from_numpy(learner.normalizer(raw))
+    with torch.no_grad():
+        learner.net.log_std[:] = torch.linspace(-1.0, 1.0, 12)
+        parameters = tuple(p.clone() for p in Gaussian.parameters(learner.net, obs))
+        actions = Gaussian.sample(parameters, gen)
+    before = Gaussian.log_prob(parameters, actions)
+    zeros, flags = np.zeros((3, 4), np.float32), np.zeros((3, 4), bool)
+    rollout = Rollout(obs, actions.clone(), parameters, zeros, zeros, zeros, flags, flags, raw, [])
+    mirror_alternate(learner, rollout)
+    torch.testing.assert_close(Gaussian.log_prob(rollout.parameters, rollout.actions), before)
+    assert torch.equal(rollout.actions[:, ::2], actions[:, ::2])
+    # The left front thigh (entry 4) does what the right one (entry 1) did, the hip (0, 3) the opposite.
+    assert torch.equal(rollout.actions[:, 1::2, 4], actions[:, 1::2, 1])
+    assert torch.equal(rollout.actions[:, 1::2, 3], -actions[:, 1::2, 0])

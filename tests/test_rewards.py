@@ -17,6 +17,7 @@ def state(n=1, **changes):
         "base_ang_vel": np.zeros((n, 3)),
         "projected_gravity": np.tile([0.0, 0.0, -1.0], (n, 1)),
         "goal_velocity": np.zeros(n),
+        "speed": np.zeros(n),
         "heading_error": np.zeros(n),
         "command": np.ones(n),
         "on_level_course": np.ones(n, bool),
@@ -28,6 +29,8 @@ def state(n=1, **changes):
         "last_action": np.zeros((n, 12)),
         "foot_force": np.zeros((n, 4, 3)),
         "foot_on_edge": np.zeros((n, 4), bool),
+        "foot_speed": np.zeros((n, 4)),
+        "foot_clearance": np.zeros((n, 4)),
         "body_contact": np.zeros((n, 9), bool),
     } | changes)  # fmt: skip
 
@@ -45,10 +48,12 @@ def test_every_weight_has_a_term():
 
 
 @pytest.mark.parametrize("name, changes, expected", [
-    # min(v, command) / command
-    ("tracking_goal_vel", {"goal_velocity": np.array([0.4]), "command": np.array([0.8])}, 0.5),
-    ("tracking_goal_vel", {"goal_velocity": np.array([2.0]), "command": np.array([0.8])}, 1.0),
-    ("tracking_goal_vel", {"goal_velocity": np.array([-0.4]), "command": np.array([0.8])}, -0.5),
+    # slower than asked: 0.4 / 0.8; backwards: -0.4 / 0.8
+    ("tracking_goal_vel", {"goal_velocity": np.array([0.4]), "speed": np.array([0.4]), "command": np.array([0.8])}, 0.5),
+    ("tracking_goal_vel", {"goal_velocity": np.array([-0.4]), "speed": np.array([0.4]), "command": np.array([0.8])}, -0.5),
+    # 2 m/s straight ahead is worth 0.8 m/s; at 60 degrees off, half of that
+    ("tracking_goal_vel", {"goal_velocity": np.array([2.0]), "speed": np.array([2.0]), "command": np.array([0.8])}, 1.0),
+    ("tracking_goal_vel", {"goal_velocity": np.array([1.0]), "speed": np.array([2.0]), "command": np.array([0.8])}, 0.5),
     # exp(-|ln 2|) = 1/2, to either side
     ("tracking_yaw", {"heading_error": np.array([np.log(2.0)])}, 0.5),
     ("tracking_yaw", {"heading_error": np.array([-np.log(2.0)])}, 0.5),
@@ -72,6 +77,10 @@ def test_every_weight_has_a_term():
     ("dof_error", {"dof_pos": DEFAULT_DOF_POS + twelve(j0=0.1, j1=0.3)}, 0.10),
     ("collision", {"body_contact": np.array([[True, False, True] + [False] * 6])}, 2.0),
     ("feet_edge", {"foot_on_edge": np.array([[True, True, False, True]])}, 3.0),
+    # 0.5 m/s x 8 cm + 1 m/s x (8 - 6) cm; above 8 cm nothing, below the ground (beside an edge) no more than 8 cm
+    ("feet_drag", {
+        "foot_speed": np.array([[0.5, 1.0, 3.0, 0.0]]), "foot_clearance": np.array([[-0.5, 0.06, 0.09, 0.0]]),
+    }, 0.06),
     ("alive", {}, 1.0),
 ])  # fmt: skip
 def test_term_by_hand(name, changes, expected):

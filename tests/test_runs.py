@@ -10,10 +10,11 @@ from agility_ref.curriculum import CurriculumConfig
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
-from agility_ref.policies import PPOConfig
+from agility_ref.policies import PPOConfig, find_policy
 from agility_ref.progress import PROGRESS
 from agility_ref.runs import TrainConfig, load_policy, run_folder, train_policy, weights_path
-from agility_ref.selector import Hierarchy, Single, SupervisedConfig
+from agility_ref.selector import Hierarchy, SelectorConfig, Single, SupervisedConfig
+from agility_ref.terrain import COURSE_KINDS
 
 BATCH = 4 * 8
 TINY = PPOConfig(num_envs=4, num_steps=8, hidden=(8,), update_epochs=1, num_minibatches=1)
@@ -217,6 +218,87 @@ def test_ppo_selector_run(config, tmp_path, finished_run, name):
     policy = load_policy(name, config)
     assert (folder / "DONE").exists() and isinstance(policy, Hierarchy)
     assert checkpoint.load(folder / "policy.npz")[0]["actor.2.bias"].shape == (3,)
+
+
+def test_a_held_selector_run_counts_control_steps(config, tmp_path, finished_run):
+    for skill in ("walk", "climb", "leap"):
+        finished_run(tmp_path, skill)
+    config = replace(config, steps=300, selector=SelectorConfig(decision_steps=4, switch_cost=0.1))
+    folder = train_policy("ps-rl-3-env", config, quiet=True)
+    # an iteration is 4 robots x 8 decisions x 4 steps = 128; the third one passes 300
+    assert steps_of(folder) == [128, 256, 384]
+    meta = checkpoint.load(folder / "policy.npz")[1]
+    assert meta["steps"] == 384 and meta["config"]["selector"]["switch_cost"] == 0.1
+    assert load_policy("ps-rl-3-env", config).decision_steps == 4
+    (folder / "DONE").unlink()
+    train_policy("ps-rl-3-env", replace(config, steps=400), quiet=True)
+    assert steps_of(folder) == [128, 256, 384, 512]
+    (folder / "DONE").unlink()
+    with pytest.raises(UserError, match="decides every 4 steps"):
+        train_policy("ps-rl-3-env", replace(config, selector=SelectorConfig(decision_steps=2)), quiet=True)
+
+
+def test_the_discount_of_a_decision_is_that_of_its_steps(config, tmp_path, finished_run, monkeypatch):
+    for skill in ("walk", "climb", "leap"):
+        finished_run(tmp_path, skill)
+    made = []
+    create = runs.SelectorEnv
+    monkeypatch.setattr(runs, "SelectorEnv", lambda *args: made.append(create(*args)) or made[0])
+    config = replace(config, ppo=replace(TINY, gamma=0.5), selector=SelectorConfig(decision_steps=3, ent_coef=0.07))
+    from agility_ref import ppo
+
+    seen = []
+    monkeypatch.setattr(ppo, "train", lambda env, learner, *rest: seen.append(learner.config) or iter(()))
+    with pytest.raises(KeyboardInterrupt):
+        train_policy("ps-rl-3-oracle", config, quiet=True)
+    assert made[0].gamma == 0.5 and made[0].config.decision_steps == 3
+    assert seen[0].gamma == 0.125 and seen[0].ent_coef == 0.07  # 0.5^3
+
+
+@pytest.mark.parametrize("name", ["walk", "ps-sl-5"])
+@pytest.mark.parametrize("bad, message", [
+    ({"selector": SelectorConfig(decision_steps=0)}, "selector.decision-steps must be at least 1, got 0"),
+    ({"selector": SelectorConfig(switch_cost=-0.1)}, "selector.switch-cost must be at least 0, got -0.1"),
+    ({"selector": SelectorConfig(switch_cost=float("nan"))}, "selector.switch-cost"),
+    ({"supervised": SupervisedConfig(dagger_rounds=-1)}, "supervised.dagger-rounds must be at least 0, got -1"),
+])  # fmt: skip
+def test_bad_selectors_are_refused(config, name, bad, message):
+    with pytest.raises(UserError, match=message):
+        train_policy(name, replace(config, **bad), quiet=True)
+
+
+@pytest.mark.parametrize("rounds", [0, 1, 4])
+def test_the_budget_is_the_same_with_and_without_dagger(config, tmp_path, finished_run, rounds):
+    for skill in ("walk", "climb-up", "climb-down", "leap", "beam"):
+        finished_run(tmp_path, skill)
+    config = replace(config, steps=90, supervised=replace(config.supervised, dagger_rounds=rounds))
+    folder = train_policy("ps-sl-5", replace(config, selector=SelectorConfig(decision_steps=10)), quiet=True)
+    states = int(float(progress(folder)[-1]["states"]))
+    # 90 states: 92 from 4 robots; 2 x 48 = 96; 5 x 20 = 100.  Never fewer than asked for.
+    assert states == {0: 92, 1: 96, 4: 100}[rounds]
+    assert load_policy("ps-sl-5", config).decision_steps == 10
+
+
+def test_the_supervised_selector_sees_every_course_and_level(config, monkeypatch):
+    spec = find_policy("ps-sl-5")
+    assert sorted(spec.courses) == sorted(COURSE_KINDS) and min(spec.budget) >= 300_000
+    seen = []
+    monkeypatch.setattr(runs, "load_skills", lambda *args: {})
+    monkeypatch.setattr(runs, "oracle_hierarchy", lambda *args: None)
+
+    def collect(env, *rest):
+        for _ in range(40):  # every robot draws another course
+            env.reset()
+            seen.append(env.course.copy())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runs, "collect_labels", collect)
+    config = replace(config, ppo=replace(TINY, num_envs=2 * len(spec.courses)), warm_start=False)
+    monkeypatch.setattr(runs, "requirements", lambda name: ())
+    monkeypatch.setattr(runs, "weights_path", lambda *args: None)
+    with pytest.raises(KeyboardInterrupt):
+        train_policy("ps-sl-5", config, quiet=True)
+    assert set(np.concatenate(seen)) == set(range(len(spec.courses) * config.curriculum.num_levels))
 
 
 def test_supervised_selector_run(config, tmp_path, finished_run):

@@ -6,6 +6,7 @@ from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.selector import (
     Hierarchy,
+    SelectorConfig,
     SelectorEnv,
     Single,
     SupervisedConfig,
@@ -110,6 +111,29 @@ def test_reset_forgets_the_held_decision(five_skills, observation):
     assert [hierarchy.act(observation, None)[1][0] for _ in range(4)] == [1, 1, 1, 2]
 
 
+def test_a_robot_whose_episode_ended_decides_anew_at_once(five_skills, observation):
+    calls = iter(range(5))
+    hierarchy = Hierarchy(
+        "test", tuple(five_skills.values()), lambda o, e: np.full(len(o), next(calls)), decision_steps=3
+    )
+    chosen = [hierarchy.act(observation, None)[1]]
+    hierarchy.reset(np.array([2, 5]))  # their episodes ended with the first step of the hold
+    chosen += [hierarchy.act(observation, None)[1] for _ in range(6)]
+    # Robots 0, 1, 3, 4 decide at steps 0, 3, 6, robots 2 and 5 at 0 and again at 1, 4.  The
+    # chooser is asked whenever somebody decides: at 0, 1, 3, 4, 6.
+    assert [step[0] for step in chosen] == [0, 0, 0, 2, 2, 2, 4]
+    assert [step[2] for step in chosen] == [0, 1, 1, 1, 3, 3, 3]
+    np.testing.assert_array_equal(chosen[1], [0, 0, 1, 0, 0, 1])
+
+
+def test_a_decision_once_returned_is_not_changed(five_skills, observation):
+    calls = iter(range(5))
+    hierarchy = Hierarchy("test", tuple(five_skills.values()), lambda o, e: np.full(len(o), next(calls)))
+    first = hierarchy.act(observation, None)[1]
+    hierarchy.act(observation, None)
+    assert (first == 0).all()
+
+
 # --- oracle ----------------------------------------------------------------------------
 
 
@@ -147,6 +171,13 @@ def test_selector_takes_the_largest_logit(make_policy, observation, obs_dim, col
     hierarchy = selector_hierarchy("test", bank, linear_selector(obs_dim, column))
     seen = observation[:, column if obs_dim == OBS_DIM else SCANDOTS.start + column]
     np.testing.assert_array_equal(hierarchy.act(observation, None)[1], seen > 0)
+
+
+def test_the_checkpoint_says_how_long_a_choice_is_held(five_skills):
+    selector = linear_selector(NUM_SCANDOTS, 0)
+    assert selector_hierarchy("test", five_skills, selector).decision_steps == 1
+    selector.meta["decision_steps"] = 10
+    assert selector_hierarchy("test", five_skills, selector).decision_steps == 10
 
 
 def separable(n, seed):
@@ -223,3 +254,147 @@ def test_selector_env_executes_the_chosen_skill(env, five_skills):
     action = five_skills["leap"](observation)
     last_action = slice(36, 48)
     np.testing.assert_allclose(after[:, last_action], np.clip(action, -4, 4), atol=1e-6)
+
+
+# --- held decisions, by hand -------------------------------------------------------------
+
+
+class Scripted:
+    """Two robots whose rewards and ends are written down; an observation holds the step count."""
+
+    num_envs = 2
+    config = EnvConfig()
+
+    def __init__(self, rewards, terminated=(), truncated=()):
+        self.rewards, self.terminated, self.truncated = rewards, terminated, truncated
+        self.t, self.actions = 0, []
+
+    def observe(self, t):
+        return np.full((2, OBS_DIM), t, np.float32)
+
+    def reset(self, seed):
+        self.t = 0
+        return self.observe(0), {}
+
+    def oracle_skill(self):
+        return np.zeros(2, int)
+
+    def step(self, action):
+        self.actions.append(action[:, 0].copy())
+        ends = [
+            np.array([(self.t, robot) in marked for robot in range(2)]) for marked in (self.terminated, self.truncated)
+        ]
+        reward = np.array(self.rewards[self.t], float)
+        self.t += 1
+        info = {"final_observation": self.observe(self.t), "episode": {"length": np.full(2, self.t)}}
+        return self.observe(self.t), reward, *ends, info
+
+
+def held(env, reward="environment", gamma=0.5, **config):
+    """A SelectorEnv over skills that act by their index: 0 walks, 1 to 4 do something else."""
+    skills = tuple((lambda o, k=k: np.full((len(o), ACTION_DIM), float(k))) for k in range(5))
+    selector_env = SelectorEnv(env, Hierarchy("test", skills, constant(0)), reward, SelectorConfig(**config), gamma)
+    selector_env.reset(0)
+    return selector_env
+
+
+def test_reward_of_a_hold():
+    env = Scripted([(1, 8), (2, 4), (4, 2)])
+    observation, reward, terminated, truncated, info = held(env, decision_steps=3).step(np.array([3, 1]))
+    # 1 + 2/2 + 4/4 = 3;  8 + 4/2 + 2/4 = 10.5
+    np.testing.assert_allclose(reward, [3.0, 10.5])
+    np.testing.assert_array_equal(env.actions, [[3, 1]] * 3)
+    assert not terminated.any() and not truncated.any()
+    assert (observation == 3).all() and (info["final_observation"] == observation).all()
+
+
+def test_an_episode_that_ends_within_a_hold():
+    # Robot 1 falls in the second of four steps, and its next episode ends in the fourth.
+    env = Scripted([(1, 1), (1, 2), (1, 100), (1, 100)], terminated={(1, 1)}, truncated={(3, 1)})
+    selector_env = held(env, decision_steps=4)
+    observation, reward, terminated, truncated, info = selector_env.step(np.array([3, 2]))
+    # 1 + 1/2 + 1/4 + 1/8 = 1.875;  1 + 2/2 = 2: what comes after its end is nobody's
+    np.testing.assert_allclose(reward, [1.875, 2.0])
+    np.testing.assert_array_equal(terminated, [False, True])
+    np.testing.assert_array_equal(truncated, [False, False])
+    np.testing.assert_array_equal(info["episode"]["length"], [4, 2])
+    np.testing.assert_array_equal(info["final_observation"][:, 0], [4, 2])
+    assert (observation == 4).all()
+    # it leaps, leaps, and then walks to the end of the hold
+    np.testing.assert_array_equal(env.actions, [[3, 2], [3, 2], [3, 0], [3, 0]])
+
+
+def test_an_end_in_the_last_step_of_a_hold():
+    env = Scripted([(1, 1), (1, 2)], truncated={(1, 0)})
+    _, reward, terminated, truncated, info = held(env, decision_steps=2).step(np.array([3, 2]))
+    np.testing.assert_allclose(reward, [1.5, 2.0])
+    np.testing.assert_array_equal(truncated, [True, False])
+    assert not terminated.any()
+    np.testing.assert_array_equal(info["final_observation"][:, 0], [2, 2])
+
+
+def test_switching_costs_within_an_episode_only():
+    # Robot 1 falls in the third decision: its fourth is the first of an episode, and free.
+    env = Scripted([(0, 0)] * 5, terminated={(2, 1)})
+    selector_env = held(env, switch_cost=0.25)
+    rewards = [selector_env.step(np.array(skill))[1] for skill in ((1, 1), (1, 2), (3, 2), (4, 3), (4, 4))]
+    np.testing.assert_allclose(np.stack(rewards).T, [[0, 0, -0.25, -0.25, 0], [0, -0.25, 0, 0, -0.25]])
+    selector_env.reset(0)
+    np.testing.assert_allclose(selector_env.step(np.array([2, 2]))[1], 0.0)
+
+
+def test_a_switch_costs_once_per_hold():
+    selector_env = held(Scripted([(0, 0)] * 6), decision_steps=3, switch_cost=0.25)
+    selector_env.step(np.array([1, 1]))
+    np.testing.assert_allclose(selector_env.step(np.array([1, 2]))[1], [0.0, -0.25])
+
+
+def test_oracle_reward_counts_every_step_of_a_hold():
+    # the oracle always walks: +-0.02 (1 + 1/2 + 1/4) = +-0.035
+    _, reward, *_ = held(Scripted([(9, 9)] * 3), "oracle", decision_steps=3).step(np.array([0, 1]))
+    np.testing.assert_allclose(reward, [0.035, -0.035])
+
+
+def test_decisions_of_any_length_have_the_same_return():
+    # sum over decisions of (gamma^k)^m R_m = sum over steps of gamma^t r_t
+    gamma, rewards = 0.9, np.random.default_rng(0).normal(size=(12, 2))
+    expected = (gamma ** np.arange(12)) @ rewards
+    for hold in (1, 2, 3, 4, 6, 12):
+        selector_env = held(Scripted(rewards), decision_steps=hold, gamma=gamma)
+        total = sum(gamma ** (hold * m) * selector_env.step(np.zeros(2, int))[1] for m in range(12 // hold))
+        np.testing.assert_allclose(total, expected)
+
+
+def test_a_hold_is_its_control_steps(five_skills):
+    """Ten single steps of one choice and one hold of ten end in the same state, falls included."""
+    courses = [make_course(kind, 0.5, 0) for kind in ("walk", "gap", "climb", "beam")]
+    skill = np.array([0, 3, 1, 4])
+    results = []
+    for hold in (1, 10):
+        env = Go1Env(World(courses), 4, EnvConfig(), lambda ids, fraction: ids)
+        hierarchy = oracle_hierarchy("oracle", five_skills)
+        selector_env = SelectorEnv(env, hierarchy, "environment", SelectorConfig(decision_steps=hold), 1.0)
+        selector_env.reset(0)
+        reward = 0.0
+        for _ in range(10 // hold):
+            observation, r, terminated, truncated, _ = selector_env.step(skill)
+            assert not (terminated | truncated).any()
+            reward = reward + r
+        results.append((observation, reward))
+    np.testing.assert_array_equal(results[0][0], results[1][0])
+    np.testing.assert_allclose(results[0][1], results[1][1], atol=1e-12)
+
+
+def test_a_fall_within_a_hold_is_reported_with_its_own_end(env, five_skills):
+    selector_env = SelectorEnv(
+        env, oracle_hierarchy("oracle", five_skills), "environment", SelectorConfig(decision_steps=5)
+    )
+    selector_env.reset(0)
+    env._qpos[2, 1] = 5.0  # outside the lane: it falls in the first of the five steps
+    observation, _, terminated, _, info = selector_env.step(np.zeros(4, int))
+    np.testing.assert_array_equal(terminated, [False, False, True, False])
+    np.testing.assert_array_equal(info["episode"]["length"], [5, 5, 1, 5])
+    others = [0, 1, 3]
+    np.testing.assert_array_equal(info["final_observation"][others], observation[others])
+    assert (info["final_observation"][2] != observation[2]).any()
+    assert env._step_count[2] == 4  # of the next episode

@@ -58,7 +58,32 @@ def test_bootstrap_frozen_values():
     scores = np.array([[0.0, 1.0, 2.0, 3.0], [1.0, 2.0, 3.0, 10.0]])
     assert iqm(scores) == 2.0  # 0 1 | 1 2 2 3 | 3 10
     low, high = bootstrap_interval(scores)
-    assert (low, high) == pytest.approx((0.75, 6.0), abs=1e-12)
+    assert (low, high) == pytest.approx((0.75, 5.75625), abs=1e-12)
+
+
+def test_bootstrap_interval_of_a_known_distribution():
+    # Seeds (0, 1) and (10, 12), means.  The first seed is drawn twice with probability 1/4, and then
+    # the mean is 0 with 1/16 and 0.25 with 4/16: 1.6 % lie at 0, 7.8 % at or below 0.25, where the
+    # 2.5th percentile is.  Twice the second: 12 with 1.6 %, 11.5 at or above with 7.8 %.
+    scores = np.array([[0.0, 1.0], [10.0, 12.0]])
+    assert bootstrap_interval(scores, np.mean, resamples=20_000) == (0.25, 11.5)
+
+
+def test_bootstrap_interval_agrees_with_a_loop():
+    # One resample at a time, from another stream of random numbers.
+    scores = np.random.default_rng(1).standard_normal((3, 12)) + np.arange(3)[:, None]
+    rng, values = np.random.default_rng(2), []
+    for _ in range(8000):
+        rows = [scores[s] for s in rng.choice(3, 3)]
+        values.append(iqm(np.concatenate([rng.choice(row, 12) for row in rows])))
+    assert bootstrap_interval(scores, resamples=8000) == pytest.approx(np.percentile(values, [2.5, 97.5]), abs=0.08)
+
+
+def test_iqm_along_an_axis():
+    scores = np.random.default_rng(0).standard_normal((4, 3, 10))
+    for axis in range(3):
+        rows = np.moveaxis(scores, axis, -1).reshape(-1, scores.shape[axis])
+        np.testing.assert_allclose(iqm(scores, axis).ravel(), [iqm(row) for row in rows])
 
 
 def test_bootstrap_interval_covers_the_mean():

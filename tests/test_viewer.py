@@ -115,6 +115,30 @@ def test_video_moves_and_carries_its_command(film, name):
         assert f"agility-ref video {command}" in text
 
 
+def test_mp4_plays_and_carries_its_command(film):
+    """Decode the film again; 161 x 121 pixels, as H.264 wants even numbers."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+    command = "oracle --environment gap --seconds 0.5 --fps 10 --width 161 --height 121 --out new/x.mp4"
+    root, done = film(command)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    reader = ffmpeg.read_frames(str(root / "new" / "x.mp4"))
+    about = next(reader)
+    pictures = [np.frombuffer(frame, np.uint8).reshape(120, 160, 3).astype(int) for frame in reader]
+    assert about["size"] == (160, 120) and about["fps"] == 10 and about["codec"] == "h264"
+    assert len(pictures) == 5 and done.stdout.startswith("new/x.mp4: 5 frames")
+    assert pictures[0].std() > 20  # not blank
+    assert np.abs(pictures[-1] - pictures[0]).max() > 50
+    assert f"agility-ref video {command}".encode() in (root / "new" / "x.mp4").read_bytes()
+
+
+def test_without_ffmpeg_one_line_says_what_to_install(monkeypatch, tmp_path):
+    from agility_ref.video import VideoConfig, write_video
+
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(UserError, match="pip install imageio-ffmpeg"):
+        write_video(iter([np.zeros((4, 4, 3), np.uint8)]), tmp_path / "x.mp4", VideoConfig(), "c")
+
+
 @pytest.mark.parametrize("backend", ["egl", "osmesa"])
 def test_both_backends(film, backend):
     if not all(map(graphics._loads, graphics.LIBRARIES[backend])):
@@ -126,6 +150,7 @@ def test_both_backends(film, backend):
 @pytest.mark.parametrize("options, expected", [
     ("--out x.avi", [".webp", ".gif", ".mp4", ".avi"]),
     ("--start 1000", ["--start"]),
+    ("--start 1000 --out x.mp4", ["--start"]),
 ])  # fmt: skip
 def test_bad_films_are_one_line(film, options, expected):
     _, done = film(f"walk --environment gap --width 64 --height 48 {options}")

@@ -1,0 +1,209 @@
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from agility_ref import diagnosis_figures, evaluate, runs
+from agility_ref.cli import main
+from agility_ref.diagnosis import (
+    OFFSETS,
+    commonest,
+    confusion,
+    mean_interval,
+    measure,
+    nearest_obstacle,
+    profile,
+    regret,
+    wrong_share,
+)
+from agility_ref.env import EnvConfig
+from agility_ref.observation import NUM_SCANDOTS
+from agility_ref.terrain import SKILLS, Course, Obstacle, make_course
+from agility_ref.trace import Trace
+
+# Five steps of two episodes, the second of three: skill chosen, skill the oracle wanted.
+CHOSEN = np.array([[0, 3], [0, 3], [3, 0], [3, -1], [1, -1]])
+WANTED = np.array([[0, 0], [3, 3], [3, 0], [3, -1], [3, -1]])
+
+
+def hand_made(x, chosen=CHOSEN, wanted=WANTED, obstacles=(), reached=(0.0, 0.0)):
+    position = np.zeros((*np.shape(x), 3))
+    position[:, :, 0] = x
+    courses = [Course("gap", 0.5, (), tuple(obstacles), np.zeros((8, 2)))] * position.shape[1]
+    return Trace("p", "gap", SKILLS, 0.02, courses, chosen, wanted, position, 0 * position, np.array(reached))
+
+
+# --- choices ---------------------------------------------------------------------------
+
+
+def test_confusion_by_hand():
+    counts = confusion(CHOSEN, WANTED, 5)
+    # wanted 0: chosen 0, 0 (end of the second), and 3 once; wanted 3: chosen 0, 3, 3, 1, and 3 once
+    expected = np.zeros((5, 5), int)
+    expected[0, 0], expected[0, 3] = 2, 1
+    expected[3, 0], expected[3, 1], expected[3, 3] = 1, 1, 3
+    np.testing.assert_array_equal(counts, expected)
+    assert counts.sum() == (CHOSEN >= 0).sum()
+
+
+def test_confusion_of_a_perfect_selector_is_diagonal():
+    counts = confusion(WANTED, WANTED, 5)
+    np.testing.assert_array_equal(counts, np.diag(np.diag(counts)))
+
+
+def test_commonest_by_hand():
+    # 0 three times, 1 once, 3 four times
+    assert commonest(CHOSEN) == (3, 0.5)
+    assert commonest(np.full((4, 3), 2)) == (2, 1.0)  # a collapse
+
+
+def test_regret_is_paired():
+    # 0.5 - 0.25 and 0.75 - 0.5: always 0.25, so nothing is left to resample
+    trace = hand_made(np.ones((5, 2)), reached=(0.25, 0.5))
+    oracle = hand_made(np.ones((5, 2)), reached=(0.5, 0.75))
+    assert regret(trace, oracle) == {"mean": 0.25, "low": 0.25, "high": 0.25}
+    assert regret(oracle, trace)["mean"] == -0.25
+    assert regret(trace, trace) == {"mean": 0.0, "low": 0.0, "high": 0.0}
+
+
+def test_mean_interval_holds_the_mean():
+    interval = mean_interval(np.arange(20.0))
+    assert interval["mean"] == 9.5 and 4 < interval["low"] < 9.5 < interval["high"] < 15
+
+
+# --- places ----------------------------------------------------------------------------
+
+
+def test_nearest_obstacle_by_hand():
+    obstacles = (Obstacle(3.0, 3.0, "climb-up"), Obstacle(5.0, 6.0, "leap"))
+    offset, kind = nearest_obstacle(hand_made([[1.0, 3.5], [4.1, 5.5], [6.5, 3.0]], obstacles=obstacles))
+    # to the step: 2, 0.5, 1.1, 2.5, 0 m behind it; to the gap: 4, 1.5, 0.9, 0 (inside), 0.5, 2
+    np.testing.assert_allclose(offset, [[-2.0, 0.5], [-0.9, 0.5], [1.5, 0.0]])
+    np.testing.assert_array_equal(kind, [[1, 1], [3, 3], [3, 1]])
+
+
+def test_no_obstacles_no_places():
+    trace = hand_made(np.ones((5, 2)))
+    assert np.isnan(nearest_obstacle(trace)[0]).all()
+    assert np.isnan(wrong_share(trace)).all()
+
+
+def test_profile_by_hand():
+    offset, kind = np.array([[-0.5, 0.5], [0.5, 0.7]]), np.array([[3, 3], [3, 1]])
+    marked = np.array([[True, True], [True, True]])
+    counts = profile(offset, kind, marked, np.array([-1.0, 0.0, 1.0]))
+    np.testing.assert_array_equal(counts, [[0, 0], [0, 1], [0, 0], [1, 2], [0, 0]])
+    assert profile(offset, kind, ~marked).sum() == 0
+
+
+def test_a_robot_that_stands_counts_once():
+    # Both come to x = 5.05: one stands there wrong for three steps, the other passes and is right.
+    # The first was right before, at x = 4.95, where it was alone.
+    x = np.array([[4.95, 5.05], [5.05, 9.0], [5.05, 9.0], [5.05, 9.0]])
+    chosen, wanted = np.array([[3, 3], [0, -1], [0, -1], [0, -1]]), np.array([[3, 3], [3, -1], [3, -1], [3, -1]])
+    share = wrong_share(hand_made(x, chosen, wanted, [Obstacle(5.0, 5.5, "leap")]))
+    here = np.searchsorted(OFFSETS, [-0.05, 0.05]) - 1
+    np.testing.assert_allclose(share[3, here], [0.0, 0.5])  # (3 / 3 + 0 / 1) / 2
+    assert np.isfinite(share).sum() == 2
+
+
+# --- everything ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def traces():
+    """Two environments of real courses, with paths drawn by hand."""
+    rng = np.random.default_rng(0)
+    found = []
+    for kind in ("climb-gap", "beam"):
+        courses = [make_course(kind, 0.5, k) for k in range(3)]
+        skill, oracle = rng.integers(0, 5, (40, 3)), rng.integers(0, 5, (40, 3))
+        skill[30:, 1] = oracle[30:, 1] = -1
+        position = np.stack([np.linspace((1, 1, 1), (8, 6, 9), 40), *rng.normal(0, 0.1, (2, 40, 3))], axis=2)
+        found.append(Trace("p", kind, SKILLS, 0.02, courses, skill, oracle, position, 0 * position, rng.random(3)))
+    return found
+
+
+def test_measure_is_json_ready_and_adds_up(traces):
+    trace = traces[0]
+    report = measure(trace, trace, trace)
+    assert json.loads(json.dumps(report, allow_nan=False)) == report
+    counts = np.array(report["confusion"])
+    assert counts.sum() == report["environment_steps"] == 30 + 40 + 40
+    wrong, steps = np.array(report["places"]["wrong"]), np.array(report["places"]["steps"])
+    assert (wrong <= steps).all() and 0 < wrong.sum() <= counts.sum() - np.trace(counts)
+    assert report["regret"]["mean"] == 0.0
+    assert report["commonest"]["share"] == pytest.approx(counts.sum(axis=0).max() / 110)
+
+
+@pytest.mark.parametrize("draw", ["confusion_figure", "timeline_figure", "mistakes_figure"])
+def test_figures_are_drawn(traces, draw, tmp_path):
+    from agility_ref.plots import save_figure
+
+    for some in (traces, traces[:1]):
+        png, svg = save_figure(getattr(diagnosis_figures, draw)(some), tmp_path / f"{draw}.png", "test")
+        assert Image.open(png).size[0] > 400 and svg.stat().st_size > 1000
+
+
+def test_the_course_drawn_is_the_one_with_the_widest_mistakes(traces):
+    trace = traces[0]
+    trace.skill[:], trace.oracle[:] = 0, 0
+    trace.skill[:20, 0] = 1  # over half of the path
+    trace.skill[:, 2] = 1
+    trace.position[:, 2, 0] = 3.0  # it stands
+    assert diagnosis_figures.widest_mistakes(trace) == 0
+
+
+# --- the command -----------------------------------------------------------------------
+
+
+@pytest.fixture
+def weights(monkeypatch, tmp_path, finished_run):
+    """Random skills and selectors, and episodes of half a second."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(runs.weights, "shipped", lambda *key: None)
+    for skill in (*SKILLS, "climb"):
+        finished_run(tmp_path / "runs", skill)
+    finished_run(tmp_path / "runs", "ps-sl-5", obs_dim=NUM_SCANDOTS, act_dim=5)
+    finished_run(tmp_path / "runs", "ps-rl-3-oracle", act_dim=3)
+    original = evaluate.evaluation_env
+    short = EnvConfig(episode_seconds=0.3)
+    monkeypatch.setattr(evaluate, "evaluation_env", lambda environment, config: original(environment, config, short))
+
+
+@pytest.mark.parametrize("policy, skills", [("oracle", 5), ("ps-sl-5", 5), ("ps-rl-3", 3)])
+def test_diagnose_prints_one_json_object(weights, capsys, policy, skills, tmp_path):
+    assert main(f"diagnose {policy} --environment gap beam --episodes 2 --out runs --json".split()) == 0
+    out = capsys.readouterr().out
+    assert out.count("\n") == 1
+    report = json.loads(out)
+    assert [e["environment"] for e in report["environments"]] == ["gap", "beam"]
+    for one in report["environments"]:
+        assert len(one["skills"]) == skills and one["episodes"] == 2 and one["environment_steps"] == 2 * 15
+        assert one["accuracy"]["mean"] == 1.0 if policy == "oracle" else one["accuracy"]["mean"] <= 1.0
+    assert len(report["figures"]) == 6 and all((tmp_path / name).is_file() for name in report["figures"])
+
+
+def test_diagnose_prints_a_report(weights, capsys):
+    assert main("diagnose ps-sl-5 --environment climb --episodes 2 --out runs".split()) == 0
+    out = capsys.readouterr().out
+    for text in ("accuracy", "switches", "commonest skill", "regret", "abandoned leap", "kicked back", "results/"):
+        assert text in out
+
+
+@pytest.mark.parametrize("command, expected", [
+    ("walk", ["walk chooses between no skills", "oracle", "ps-sl-5"]),
+    ("gen-3", ["gen-3 chooses between no skills"]),
+    ("ps-sl-6", ["unknown policy 'ps-sl-6'", "ps-sl-5"]),
+    ("oracle --environment gaps", ["unknown environment 'gaps'"]),
+    ("oracle --episodes 0", ["episodes", "0"]),
+    ("oracle --protocol as-published", ["as-published"]),
+    ("ps-rl-3-env --environment gap --episodes 1 --out nowhere", ["no weights for"]),
+])  # fmt: skip
+def test_bad_input_is_one_line(weights, capsys, command, expected):
+    assert main(["diagnose", *command.split()]) == 2
+    out, err = capsys.readouterr()
+    assert err.startswith("agility-ref: ") and err.count("\n") == 1 and out == ""
+    for text in expected:
+        assert text in err
