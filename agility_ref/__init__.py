@@ -1,11 +1,11 @@
 """One generalist policy, or a bank of specialists?  A small, readable reproduction.
 
 Start at :mod:`agility_ref.terrain`; every module imports only from those before it:
-errors, terrain, world, go1, rewards, observation, task, curriculum, env, checkpoint,
-policies, progress, weights, networks, ppo, selector, evaluate, stats, plots, runs, cells,
-table1, table_output, verdicts, evidence, findings, trace, odd_behaviours, diagnosis; then the
-pictures: diagnosis_figures, record, silhouette, pictures, panels, gallery, graphics, scene,
-video, viewer, window; and last cli_diagnose, cli_pictures and cli.
+errors, terrain, world, go1, rewards, observation, task, curriculum, placement, env,
+checkpoint, policies, progress, weights, networks, ppo, selector, evaluate, stats, plots, runs,
+cells, table1, table_output, verdicts, evidence, findings, trace, odd_behaviours, diagnosis;
+then the pictures: diagnosis_figures, record, gait, scene, silhouette, pictures, panels, gallery,
+graphics, video, viewer, window; and last cli_diagnose, cli_pictures and cli.
 """
 
 import os

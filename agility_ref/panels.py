@@ -64,7 +64,8 @@ def _draw_gait(axis, episode: Episode) -> None:
         _bars(axis, episode.foot_on_edge[:, k], episode.dt, 3 - k, 0.9, RED, label)
     axis.set_yticks([3, 2, 1, 0], LEGS)
     axis.set_ylim(-0.6, 3.6)
-    axis.set_title("feet on the ground: share of the time, top of a swing", loc="left")
+    axis.text(1.01, 3.75, "stands, swings to", transform=axis.get_yaxis_transform(), va="center", fontsize=10.5)
+    axis.set_title("feet on the ground", loc="left")
 
 
 def _draw_progress(axis, episode: Episode) -> None:

@@ -30,7 +30,8 @@ def skill_colour(name: str) -> str:
 
 def stretches(values: np.ndarray) -> list[tuple[int, int]]:
     """Cut an array (n,) or (n, k) where its value changes; return (start, stop) of every stretch."""
-    changes = (np.diff(values, axis=0) != 0).reshape(len(values) - 1, -1).any(axis=1)
+    rows = values.reshape(len(values), -1)
+    changes = (rows[1:] != rows[:-1]).any(axis=1)
     borders = [0, *np.flatnonzero(changes) + 1, len(values)]
     return [(int(start), int(stop)) for start, stop in pairwise(borders)]
 

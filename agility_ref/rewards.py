@@ -146,7 +146,7 @@ def feet_drag(s: StepState) -> np.ndarray:
     Not in the original.  Without it robots learn to shuffle, and stub their toes on the first
     edge; a foot that stands still or swings high costs nothing.
     """
-    return (s.foot_speed * np.clip(0.08 - s.foot_clearance, 0.0, 0.08)).sum(axis=1)
+    return (s.foot_speed * np.clip(0.05 - s.foot_clearance, 0.0, 0.05)).sum(axis=1)
 
 
 def alive(s: StepState) -> np.ndarray:

@@ -162,6 +162,26 @@ def test_the_same_figure_is_the_same_file(tmp_path):
     assert draw("a") == draw("b")
 
 
+def test_256_colours_keep_the_common_ones_and_a_rare_one(tmp_path):
+    rng = np.random.default_rng(0)
+    pixels = rng.integers(200, 256, (100, 100, 3)).astype(np.uint8)  # thousands of light colours
+    pixels[:50] = (201, 194, 180)
+    pixels[70, 70] = (213, 94, 0)
+    image = plots.paletted(pixels)
+    image.save(tmp_path / "x.png")
+    with Image.open(tmp_path / "x.png") as saved:
+        assert saved.mode == "P"
+        shown = np.asarray(saved.convert("RGB")).astype(int)
+    assert (shown[:50] == (201, 194, 180)).all()
+    assert np.abs(shown[70, 70] - (213, 94, 0)).max() < 20
+    assert np.abs(shown - pixels).mean() < 8
+
+
+def test_few_colours_are_exact():
+    pixels = np.arange(300, dtype=np.uint8).reshape(10, 10, 3)
+    assert np.array_equal(np.asarray(plots.paletted(pixels).convert("RGB")), pixels)
+
+
 # --- learning curves ----------------------------------------------------------------------
 
 
@@ -208,6 +228,12 @@ def test_one_row_of_progress_is_enough(tmp_path):
     plots.save_figure(plots.learning_curves({"leap": [progress]}), tmp_path / "y.png", "c")
 
 
+def test_learning_curves_show_the_level(tmp_path):
+    figure = plots.learning_curves({"leap": [write_progress(tmp_path / "leap" / "seed0")]})
+    labels = [axis.get_ylabel() for axis in figure.axes]
+    assert labels == ["waypoint fraction, exploring", "level / top level", "return per episode"]
+
+
 # --- pictures -----------------------------------------------------------------------------
 
 
@@ -227,6 +253,26 @@ def test_strobe_draws_terrain_to_scale(single, tmp_path):
         x, z = np.ptp(axis.get_xlim()), np.ptp(axis.get_ylim())
         assert width / x == pytest.approx(height / z)
     plots.save_figure(figure, tmp_path / "x.png", "c")
+
+
+def test_stretches_cover_the_array():
+    assert pictures.stretches(np.array([3, 3, 1, 1, 1, 3])) == [(0, 2), (2, 5), (5, 6)]
+    assert pictures.stretches(np.array([[0, 1], [0, 1], [0, 2]])) == [(0, 2), (2, 3)]
+    assert pictures.stretches(np.array([7])) == [(0, 1)]
+
+
+def test_beams_show_their_sides_and_steps_have_none():
+    def area(kind):
+        """Area of the sides that are drawn [m^2]."""
+        course = make_course(kind, 0.5, 0)
+        _, axes = plots.new_figure()
+        pictures.draw_ground(axes[0, 0], pictures.ground_along(course, *course.waypoints.T), height_map(course), -1.0)
+        x, y = axes[0, 0].collections[1].get_paths()[0].vertices.T
+        return abs((x[:-1] * y[1:] - x[1:] * y[:-1]).sum()) / 2
+
+    beams = make_course("beam", 0.5, 0).obstacles
+    assert area("beam") == pytest.approx(0.2 * sum(o.x1 - o.x0 for o in beams))
+    assert area("climb-up") == pytest.approx(0.0, abs=1e-9)
 
 
 def test_violations_are_drawn_where_they_happened(single):

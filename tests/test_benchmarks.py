@@ -1,0 +1,315 @@
+import csv
+import json
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
+
+import ablations
+import common
+import learning
+import skills_table
+import time_to_skill
+import time_to_walk
+
+from agility_ref import checkpoint, findings, runs
+from agility_ref.curriculum import CurriculumConfig
+from agility_ref.errors import UserError
+from agility_ref.evaluate import Evaluation, EvaluationConfig
+from agility_ref.evidence import read_ablations
+from agility_ref.policies import POLICIES, PPOConfig
+from agility_ref.runs import TrainConfig, train_policy
+from agility_ref.task import EnvConfig
+
+TINY = {
+    "preset": "quick",
+    "ppo": PPOConfig(num_envs=8, num_steps=4, num_minibatches=1, update_epochs=1, hidden=(8,)),
+    "curriculum": CurriculumConfig(num_levels=2, variants=1),
+}
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    """Make every training a tiny one, and every warm start one of 64 steps."""
+    monkeypatch.setattr(runs.weights, "shipped", lambda *key: None)
+    for module in (time_to_skill, ablations):
+        monkeypatch.setattr(module, "TrainConfig", lambda **given: TrainConfig(**TINY | given))
+    small = {name: replace(spec, budget=(64, 64)) for name, spec in POLICIES.items()}
+    monkeypatch.setattr("agility_ref.policies.POLICIES", small)
+
+
+def fixed_judge(*fractions):
+    """Return a judge that gives one number after the other."""
+    left = iter(fractions)
+    return lambda policy: {"waypoint_fraction": next(left), "falls": 0.25}
+
+
+# --- learning -----------------------------------------------------------------------------
+
+
+def test_it_is_the_training_of_the_command_line(tiny, tmp_path):
+    """Same weights to the last bit, whatever is evaluated on the way."""
+    config = TrainConfig(**TINY, out=str(tmp_path), seed=3)
+    train_policy("walk", replace(config, steps=64), quiet=True)
+    expected, meta = checkpoint.load(train_policy("leap", replace(config, steps=160), quiet=True) / "policy.npz")
+    walk = learning.learn("walk", config, 64)
+    leap = learning.learn("leap", config, 160, learning.own_courses("leap", "quick", 1), 32, start=walk)
+    assert leap.steps == meta["steps"] == 160
+    assert [point["steps"] for point in leap.curve] == [64, 96, 128, 160]
+    for name, array in leap.arrays.items():
+        assert np.array_equal(array, expected[name]), name
+
+
+def test_training_ends_at_the_goal_and_at_its_budget():
+    config = TrainConfig(**TINY)
+    stopped = learning.learn("walk", config, 320, fixed_judge(0.0, 0.4, 0.8, 1.0), 64, goal=0.8)
+    assert [p["waypoint_fraction"] for p in stopped.curve] == [0.0, 0.4, 0.8] and stopped.steps == 128
+    to_the_end = learning.learn("walk", config, 80, fixed_judge(0.0, 0.1, 0.2), 64)
+    assert [p["steps"] for p in to_the_end.curve] == [0, 64, 96]  # whole iterations of 32
+    seconds = [p["seconds"] for p in to_the_end.curve]
+    assert seconds[0] == 0.0 and seconds == sorted(seconds) and to_the_end.seconds >= seconds[-1]
+    with pytest.raises(UserError, match="nothing to train"):
+        learning.learn("walk", config, 80, start=to_the_end)
+
+
+def test_evaluations_are_not_on_the_clock(monkeypatch):
+    now = [0.0]
+
+    def look():
+        now[0] += 1.0
+        return now[0]
+
+    def judge(policy):
+        now[0] += 1000.0
+        return {"waypoint_fraction": 0.0, "falls": 0.0}
+
+    monkeypatch.setattr(learning.time, "perf_counter", look)
+    trained = learning.learn("walk", TrainConfig(**TINY), 96, judge, 32)
+    assert len(trained.curve) == 4 and now[0] > 4000.0
+    assert 3.0 <= trained.seconds < 100.0
+
+
+def test_no_level_without_a_curriculum():
+    config = TrainConfig(**TINY | {"curriculum": CurriculumConfig(num_levels=2, variants=1, enabled=False)})
+    trained = learning.learn("walk", config, 32, fixed_judge(0.0, 0.0), 32)
+    assert [p["level"] for p in trained.curve] == [None, None]
+
+
+@pytest.mark.parametrize("name", ["oracle", "ps-rl-3", "ps-sl-5", "wlak"])
+def test_selectors_are_refused(name):
+    with pytest.raises(UserError):
+        learning.check_skill(name)
+
+
+# --- time to a skill ----------------------------------------------------------------------
+
+
+def curve(*fractions):
+    return [
+        {"steps": 100 * k, "seconds": 2.0 * k, "waypoint_fraction": f, "falls": 0.1, "level": 0.5}
+        for k, f in enumerate(fractions)
+    ]
+
+
+def test_crossings_are_the_first_evaluations_at_or_above():
+    points = time_to_skill.crossings(curve(0.1, 0.5, 0.4, 0.9), (0.5, 0.8, 0.9, 0.95))
+    assert [p and p["steps"] for p in points] == [100, 300, 300, None]
+
+
+def test_medians_need_every_seed():
+    made = [
+        time_to_skill.describe(s, learning.Trained({}, 300, 6.0, curve(*f)), (0.5, 0.8))
+        for s, f in enumerate([(0.0, 0.6, 0.9), (0.0, 0.1, 0.5), (0.6, 0.7, 0.9)])
+    ]
+    assert time_to_skill.medians(made) == {"0.5": {"steps": 100.0, "seconds": 2.0}, "0.8": None}
+    assert [run["best"] for run in made] == [0.9, 0.5, 0.9]
+
+
+def test_time_to_skill_counts_the_warm_start(tiny, tmp_path, capsys):
+    config = time_to_skill.Config(
+        "leap", "quick", (0, 1), (0.5,), every=32, steps=96, episodes=1, out=str(tmp_path), json=True
+    )
+    time_to_skill.main(config)
+    printed = json.loads(capsys.readouterr().out)
+    assert [point["steps"] for point in printed["runs"][0]["curve"]] == [64, 96]
+    assert printed["runs"][0]["curve"][0]["seconds"] > 0.0  # walk's
+    with open(tmp_path / "time-to-leap-quick.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["seed"], row["steps"]) for row in rows] == [("0", "64"), ("0", "96"), ("1", "64"), ("1", "96")]
+    assert (tmp_path / "time-to-leap-quick.png").exists()
+
+
+def test_time_to_walk_is_its_quick_case(tiny, capsys, monkeypatch):
+    asked = []
+    monkeypatch.setattr(time_to_skill, "main", asked.append)
+    time_to_walk.main(time_to_walk.Config(seeds=(4,), goal=0.7, json=True))
+    (config,) = asked
+    assert (config.policy, config.preset, config.seeds, config.thresholds) == ("walk", "quick", (4,), (0.7,))
+    assert config.out == "" and config.json and config.steps == 2_000_000
+
+
+def test_a_mistake_is_one_line(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["benchmarks/time_to_skill.py", "oracle"])
+    with pytest.raises(SystemExit) as stop:
+        common.start(time_to_skill.main, time_to_skill.Config)
+    err = capsys.readouterr().err
+    assert stop.value.code == 2 and err.count("\n") == 1 and err.startswith("time_to_skill.py: oracle")
+
+
+# --- ablations ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ablation", ablations.ABLATIONS[1:], ids=lambda a: a.name)
+def test_an_ablation_changes_what_it_says_and_nothing_else(ablation):
+    before, after = asdict(TrainConfig()), asdict(ablation.apply(TrainConfig()))
+    said = {("", key) for key in ablation.train}
+    said |= {(part, key) for part in ("env", "ppo", "curriculum") for key in getattr(ablation, part)}
+    changed = {("", k) for k, v in before.items() if not isinstance(v, dict) and after[k] != v}
+    changed |= {(p, k) for p, v in before.items() if isinstance(v, dict) for k in v if after[p][k] != v[k]}
+    assert changed == said and said
+
+
+def test_findings_know_the_names():
+    names = [a.name for a in ablations.ABLATIONS]
+    assert names[0] == findings.BASELINE and findings.NO_CURRICULUM in names
+    assert any(name.startswith(findings.ACTION_STACKING) for name in names)
+    assert len(set(names)) == len(names)
+
+
+def test_joints_reach_as_far_at_any_action_scale():
+    for ablation in ablations.ABLATIONS:
+        env = ablation.apply(TrainConfig()).env
+        assert env.action_scale * env.action_limit == pytest.approx(1.2)
+
+
+def test_evaluation_has_none_of_trainings_own():
+    task = learning.evaluation_task(TrainConfig().env)
+    assert task == EnvConfig()
+    assert learning.evaluation_task(replace(task, action_repeat=2, stall_seconds=5.0)).action_repeat == 2
+
+
+SMALL = ablations.Config(
+    only=("baseline", "from-scratch", "no-curriculum"), policies=("leap",), seeds=(0,), preset="quick",
+    steps=128, every=64, episodes=1,
+)  # fmt: skip
+
+
+def test_ablations_resume_and_collect(tiny, tmp_path, capsys, monkeypatch):
+    config = replace(SMALL, runs=str(tmp_path / "runs"), out=str(tmp_path / "results"))
+    ablations.main(config)
+    rows = read_ablations(tmp_path / "results" / "ablations.csv")
+    steps = {name: [r["steps"] for r in rows if r["ablation"] == name] for name in config.only}
+    assert steps == {"baseline": [64, 128], "from-scratch": [0, 64, 128], "no-curriculum": [64, 128]}
+    assert (tmp_path / "results" / "ablations.png").exists()
+    assert (config.root / "baseline" / "warm-start" / "walk" / "seed0" / "DONE").exists()
+    assert not (config.root / "from-scratch" / "warm-start").exists()
+
+    def never(*args, **kwargs):
+        raise AssertionError("a finished run was trained again")
+
+    monkeypatch.setattr(ablations, "learn", never)
+    ablations.main(config)
+    (config.root / "baseline" / "leap" / "seed0" / "DONE").unlink()
+    with pytest.raises(AssertionError, match="trained again"):
+        ablations.main(config)
+    ablations.main(replace(config, collect=True))
+    assert {r["ablation"] for r in read_ablations(tmp_path / "results" / "ablations.csv")} == set(config.only[1:])
+
+
+def test_runs_of_another_recipe_are_refused(tiny, tmp_path, monkeypatch):
+    config = replace(SMALL, only=("from-scratch",), runs=str(tmp_path), out=str(tmp_path))
+    ablations.main(config)
+    changed = TINY | {"env": EnvConfig(action_scale=0.31)}
+    monkeypatch.setattr(ablations, "TrainConfig", lambda **given: TrainConfig(**changed | given))
+    with pytest.raises(UserError, match="another recipe"):
+        ablations.main(config)
+
+
+def test_an_unknown_ablation_is_named(tmp_path):
+    with pytest.raises(UserError, match="did you mean no-curriculum"):
+        ablations.main(replace(SMALL, only=("no-curiculum",), runs=str(tmp_path)))
+    with pytest.raises(UserError, match="no finished run"):
+        ablations.main(replace(SMALL, collect=True, runs=str(tmp_path)))
+
+
+def test_the_summary_compares_the_same_seeds():
+    def seeds(*last):
+        return {k: curve(0.0, value) for k, value in enumerate(last)}
+
+    found = {"leap": {"baseline": seeds(0.8, 0.6), "mirror": seeds(0.9, 0.5, 0.1)}}
+    base, mirror = ablations.summary_rows(found)
+    assert base["waypoints"] == "0.70 (0.60 to 0.80)" and base["minus baseline"] == ""
+    assert mirror["seeds"] == 3 and mirror["minus baseline"] == "+0.00 (-0.10 to +0.10)"
+    ablations.draw(found).canvas.draw()
+
+
+# --- the table of skills ------------------------------------------------------------------
+
+
+def played(name, waypoints, course):
+    n = len(waypoints)
+    numbers = np.array(waypoints, float)
+    return Evaluation(
+        name, course, EvaluationConfig(n), np.zeros(n), np.full(n, 10), numbers, np.full(n, 0.1),
+        numbers < 0.5, np.zeros(n), None, None,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def evaluations():
+    """Two seeds of leap, one of gen-3, which plays two of its courses here."""
+    return {
+        ("leap", 0, "gap", None): played("leap", [1.0, 0.6], "gap"),
+        ("leap", 1, "gap", None): played("leap", [0.4, 0.4], "gap"),
+        ("leap", 0, "gap", 0.5): played("leap", [0.25, 0.75], "gap"),
+        ("leap", 1, "gap", 0.5): played("leap", [0.25, 0.25], "gap"),
+        ("gen-3", 0, "gap", None): played("gen-3", [0.9, 0.4], "gap"),
+        ("gen-3", 0, "walk", None): played("gen-3", [1.0, 1.0], "walk"),
+        ("walk", 0, "walk", None): played("walk", [0.9, 0.9], "walk"),
+    }
+
+
+def test_rows_of_the_skills_table(evaluations, make_policy):
+    policies = {
+        (name, seed): replace(make_policy(), meta={"steps": 3_000_000, "wall_seconds": 90.0 + 60 * seed})
+        for name, seed, _, _ in evaluations
+    }
+    rows = skills_table.csv_rows(evaluations, policies)
+    assert len(rows) == 7 and json.loads(json.dumps(rows)) == rows
+    leap, gen, _ = skills_table.skills_rows(rows)
+    assert leap["waypoints"] == "0.60 (0.40)" and leap["falls"] == "0.50 (1.00)" and leap["own training"] == "2.0 min"
+    assert gen["courses"] == "gap, walk" and gen["waypoints"] == "0.82" and gen["seeds"] == 1
+    (fixed, *_) = skills_table.difficulty_rows(rows)
+    assert fixed == {"waypoints of": "leap on gap", "d = 0.5": "0.38 (0.25)"}
+
+
+def test_generalists_are_compared_with_the_specialist_of_each_course(evaluations):
+    gap, walk = skills_table.generalist_figures(evaluations)
+    assert (gap["specialist"], gap["seeds"]) == ("leap", [0])  # the seed that both have
+    assert gap["difference"][0] == pytest.approx(-0.15) and walk["difference"][0] == pytest.approx(0.1)
+    mean = skills_table.generalist_rows([gap, walk])[-1]
+    assert mean["course"] == "mean" and mean["difference"] == "-0.03"
+
+
+def test_every_course_has_one_specialist():
+    assert set(skills_table.SPECIALISTS.values()) == {n for n in skills_table.SKILLS if not n.startswith("gen")}
+
+
+def test_skills_table_plays_what_there_is(tiny, tmp_path, capsys, finished_run):
+    for name in ("walk", "leap"):
+        finished_run(tmp_path / "runs", name, preset="quick", wall_seconds=60.0)
+    config = skills_table.Config(
+        ("walk", "leap", "beam"), "quick", str(tmp_path / "runs"), episodes=1, csv=str(tmp_path / "t.csv"), json=True
+    )
+    skills_table.main(config)
+    out, err = capsys.readouterr()
+    assert "missing: no weights for beam" in err
+    assert {row["policy"] for row in json.loads(out)["rows"]} == {"walk", "leap"}
+    with open(tmp_path / "t.csv", newline="") as file:
+        assert len(list(csv.DictReader(file))) == 2 * 6
+    with pytest.raises(UserError, match="no weights for beam"):
+        skills_table.main(replace(config, policies=("beam",)))
