@@ -2,7 +2,7 @@
 
 Start at :mod:`agility_ref.terrain`; every module imports only from those before it:
 errors, terrain, world, go1, rewards, observation, task, curriculum, placement, env,
-checkpoint, policies, progress, weights, networks, ppo, selector, evaluate, stats, plots, runs,
+checkpoint, policies, progress, weights, networks, learner, ppo, selector, evaluate, stats, plots, runs,
 cells, table1, table_output, verdicts, evidence, findings, trace, odd_behaviours, diagnosis;
 then the pictures: diagnosis_figures, record, gait, scene, silhouette, pictures, panels, gallery,
 graphics, video, viewer, window; and last cli_diagnose, cli_pictures and cli.

@@ -44,6 +44,10 @@ class PPOConfig:
     """KL divergence per minibatch that the rate is steered to; usual 0.005 to 0.02."""
     init_std: float = 0.8
     """Standard deviation of the first policy; usual 0.5 to 1."""
+    final_std: float = 0.2
+    """The standard deviation may not exceed a line from init_std to this; usual 0.1 to 0.3, init_std for no limit."""
+    anneal_share: float = 0.25
+    """Last share of the steps in which KL target and lowest step size fall to zero; 0 for never."""
     mirror: bool = False
     """Learn from the mirror images, left for right, of every other robot's steps; skills only."""
     hidden: tuple[int, ...] = (128, 128)

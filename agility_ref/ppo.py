@@ -14,13 +14,12 @@ clipped, and the normaliser changes between iterations, never within one.
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from agility_ref.errors import UserError
-from agility_ref.networks import ActorCritic, Gaussian, Normalizer
+from agility_ref.learner import Learner
 from agility_ref.observation import MIRROR_ACTION_INDEX, MIRROR_ACTION_SIGN, MIRROR_INDEX, MIRROR_SIGN
 from agility_ref.policies import PPOConfig
 
@@ -69,94 +68,27 @@ def policy_loss(
     return -torch.min(ratio * advantage, clipped * advantage).mean()
 
 
-def adapt_learning_rate(rate: float, kl: float, config: PPOConfig) -> float:
-    """Divide the rate by 1.5 where KL is above twice the target, multiply below half of it."""
-    if kl > 2.0 * config.target_kl:
+def adapt_learning_rate(rate: float, kl: float, config: PPOConfig, anneal: float = 1.0) -> float:
+    """Divide the rate by 1.5 where KL is above twice the target, multiply below half of it.
+
+    ``anneal``, from 1 down to 0, scales the target and the lowest rate.
+    """
+    if kl > 2.0 * anneal * config.target_kl:
         rate /= 1.5
-    elif kl < 0.5 * config.target_kl:
+    elif kl < 0.5 * anneal * config.target_kl:
         rate *= 1.5
-    return float(np.clip(rate, config.learning_rate_min, config.learning_rate_max))
+    return float(np.clip(rate, anneal * config.learning_rate_min, config.learning_rate_max))
 
 
-@dataclass
-class Learner:
-    """What training changes: network, normaliser, optimiser, counters."""
+def schedule(progress: float, config: PPOConfig) -> tuple[float, float]:
+    """Return the largest standard deviation, and the factor ``anneal``, at a share of all steps.
 
-    net: ActorCritic
-    normalizer: Normalizer
-    config: PPOConfig
-    distribution: type = Gaussian
-    seed: int = 0
-    learning_rate: float = field(init=False)
-    steps: int = 0
-    """Environment steps so far, warm start included."""
-
-    def __post_init__(self):
-        self.learning_rate = self.config.learning_rate
-        # Actor and critic share no weights: each has its optimiser and its gradient norm, so the
-        # weight of the value loss in the textbook's sum has nothing left to balance.
-        actor = [*self.net.actor.parameters(), self.net.log_std]
-        self.actor_optimizer = torch.optim.Adam(actor, self.learning_rate, fused=True)
-        self.critic_optimizer = torch.optim.Adam(self.net.critic.parameters(), self.learning_rate, fused=True)
-        self.generator = torch.Generator().manual_seed(self.seed)
-
-    @classmethod
-    def create(
-        cls,
-        obs_dim: int,
-        act_dim: int,
-        config: PPOConfig,
-        seed: int,
-        distribution: type = Gaussian,
-        fixed: slice = slice(0, 0),
-    ) -> "Learner":
-        """Start from scratch; ``fixed`` observations are scaled by hand (1 / 0.3)."""
-        torch.manual_seed(seed)
-        net = ActorCritic(obs_dim, act_dim, config.hidden, config.init_std)
-        return cls(net, Normalizer(obs_dim, fixed, 0.3), config, distribution, seed)
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return the network and the normaliser, as checkpoints hold them."""
-        n = self.normalizer
-        arrays = {name: p.detach().numpy().copy() for name, p in self.net.named_parameters()}
-        return arrays | {
-            "normalizer.mean": n.mean.copy(), "normalizer.var": n.var.copy(), "normalizer.count": np.array(n.count)
-        }  # fmt: skip
-
-    def training_arrays(self) -> dict[str, np.ndarray]:
-        """Return what resuming needs beyond :meth:`arrays`: Adam's moments and the rate."""
-        state = {"optimizer.learning_rate": np.array(self.learning_rate)}
-        for name, parameter in self.net.named_parameters():
-            for key, value in self._optimizer(name).state.get(parameter, {}).items():
-                state[f"optimizer.{name}.{key}"] = value.numpy().copy()
-        return state
-
-    def _optimizer(self, parameter_name: str) -> torch.optim.Adam:
-        return self.critic_optimizer if parameter_name.startswith("critic.") else self.actor_optimizer
-
-    def load_arrays(self, arrays: dict[str, np.ndarray]) -> None:
-        """Copy :meth:`arrays`, and :meth:`training_arrays` where present, into this learner.
-
-        Raises
-        ------
-        UserError : the arrays are those of another network
-        """
-        with torch.no_grad():
-            for name, parameter in self.net.named_parameters():
-                shape = arrays[name].shape if name in arrays else None
-                if shape != tuple(parameter.shape):
-                    raise UserError(f"checkpoint has {name} of shape {shape}, this network {tuple(parameter.shape)}")
-                parameter.copy_(torch.from_numpy(arrays[name]))
-        n = self.normalizer
-        n.mean[:], n.var[:] = arrays["normalizer.mean"], arrays["normalizer.var"]
-        n.count = float(arrays["normalizer.count"])
-        self.learning_rate = float(arrays.get("optimizer.learning_rate", self.learning_rate))
-        for name, parameter in self.net.named_parameters():
-            keys = ("step", "exp_avg", "exp_avg_sq")
-            if f"optimizer.{name}.step" in arrays:
-                self._optimizer(name).state[parameter] = {
-                    key: torch.from_numpy(arrays[f"optimizer.{name}.{key}"].copy()) for key in keys
-                }
+    Noise that finds the way up a step also throws the robot off it: first explore, then refine.
+    """
+    # std <= std_0 + (std_1 - std_0) p;  anneal = min(1, (1 - p) / share)
+    std = config.init_std + (config.final_std - config.init_std) * progress
+    anneal = min(1.0, (1.0 - progress) / config.anneal_share) if config.anneal_share else 1.0
+    return std, anneal
 
 
 @dataclass
@@ -236,7 +168,7 @@ def update_actor(learner: Learner, batches: list[Batch]) -> dict[str, float]:
         with torch.no_grad():
             kl = float(dist.kl(mb.old, new).mean())
             clip_fraction = ((log_prob - mb.old_log_prob).exp() - 1).abs().gt(c.clip_coef).float().mean()
-        learner.learning_rate = adapt_learning_rate(learner.learning_rate, kl, c)
+        learner.learning_rate = adapt_learning_rate(learner.learning_rate, kl, c, learner.anneal)
         pg_loss = policy_loss(log_prob, mb.old_log_prob, mb.advantages, c.clip_coef)
         entropy = dist.entropy(new)
         _descend(learner.actor_optimizer, learner.learning_rate, pg_loss - c.ent_coef * entropy, c.max_grad_norm)
@@ -320,7 +252,9 @@ def train(env, learner: Learner, total_steps: int, stop: Callable[[], bool] = la
         start = time.perf_counter()
         rollout, obs = collect(env, learner, obs)
         collected = time.perf_counter()
+        max_std, learner.anneal = schedule(learner.steps / total_steps, learner.config)
         losses = update(learner, rollout)
+        learner.net.log_std.data.clamp_(max=float(np.log(max_std)))
         learner.steps += learner.config.batch_size
         seconds = time.perf_counter() - start
         yield {

@@ -141,7 +141,7 @@ def feet_edge(s: StepState) -> np.ndarray:
 
 
 def feet_drag(s: StepState) -> np.ndarray:
-    """Sum over feet of speed times what is missing to a clearance of 8 cm [m^2/s].
+    """Sum over feet of speed times what is missing to a clearance of 5 cm [m^2/s].
 
     Not in the original.  Without it robots learn to shuffle, and stub their toes on the first
     edge; a foot that stands still or swings high costs nothing.
@@ -192,11 +192,11 @@ class RewardConfig:
     """Distance from the home pose; original -0.04."""
     collision: float = -0.5
     """Touching the terrain with anything but the feet; original -10."""
-    feet_stumble: float = -0.1
+    feet_stumble: float = -0.5
     """Kicking vertical faces; original -1."""
-    feet_edge: float = -0.3
-    """Stepping on edges; original -1, there only on the hardest rows."""
-    feet_drag: float = -1.0
+    feet_edge: float = -1.0
+    """Stepping on edges; original -1, there only on the harder courses."""
+    feet_drag: float = -2.0
     """Feet that move close to the ground; original 0."""
     alive: float = 0.5
     """Not having fallen, on the level course; original 0, with the sum clipped at zero."""

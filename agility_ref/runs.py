@@ -41,7 +41,7 @@ from agility_ref.selector import (
 from agility_ref.task import TRAINING
 
 if TYPE_CHECKING:
-    from agility_ref.ppo import Learner
+    from agility_ref.learner import Learner
 
 
 @dataclass(frozen=True)
@@ -186,9 +186,10 @@ def _make_env(spec: PolicySpec, config: TrainConfig) -> tuple[Go1Env, Curriculum
 
 def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -> None:
     # Here, so that only training waits for torch.
+    from agility_ref.learner import Learner
     from agility_ref.networks import Categorical, Gaussian
     from agility_ref.plots import learning_curve
-    from agility_ref.ppo import Learner, train
+    from agility_ref.ppo import train
 
     total = config.steps or spec.steps(config.preset)
     ppo = config.ppo

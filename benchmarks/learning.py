@@ -21,10 +21,11 @@ from agility_ref.curriculum import Curriculum, training_world
 from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluate
+from agility_ref.learner import Learner
 from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.plots import band, new_figure, style
 from agility_ref.policies import find_policy, find_preset, requirements
-from agility_ref.ppo import Learner, train
+from agility_ref.ppo import train
 from agility_ref.runs import TrainConfig
 from agility_ref.selector import Single
 

@@ -16,9 +16,10 @@ from common import Taped, alternate, available_cores, machine, ratio, report, sh
 
 from agility_ref.checkpoint import Policy
 from agility_ref.env import ACTION_DIM, Go1Env
+from agility_ref.learner import Learner
 from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.policies import PPOConfig
-from agility_ref.ppo import Learner, collect, train, update
+from agility_ref.ppo import collect, train, update
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,10 @@ import tyro
 from common import available_cores, machine, report, require, walk_training
 
 from agility_ref.env import ACTION_DIM, Go1Env
+from agility_ref.learner import Learner
 from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.policies import PPOConfig
-from agility_ref.ppo import Learner, train
+from agility_ref.ppo import train
 from agility_ref.terrain import NUM_WAYPOINTS
 
 

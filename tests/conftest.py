@@ -9,9 +9,9 @@ import pytest
 from agility_ref import checkpoint
 from agility_ref.checkpoint import Policy
 from agility_ref.env import ACTION_DIM
+from agility_ref.learner import Learner
 from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.policies import PPOConfig
-from agility_ref.ppo import Learner
 
 SKILLS = ("walk", "climb-up", "climb-down", "leap", "beam")
 

@@ -7,9 +7,9 @@ import torch
 from agility_ref import checkpoint
 from agility_ref.checkpoint import Policy, elu, layers_of, mlp
 from agility_ref.errors import UserError
+from agility_ref.learner import Learner
 from agility_ref.networks import ActorCritic
 from agility_ref.policies import PPOConfig
-from agility_ref.ppo import Learner
 
 META = {"policy": "walk", "act_dim": 3, "steps": 7}
 

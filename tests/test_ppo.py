@@ -4,17 +4,18 @@ import numpy as np
 import pytest
 import torch
 
+from agility_ref.learner import Learner
 from agility_ref.networks import Categorical, Gaussian
 from agility_ref.observation import OBS_DIM
 from agility_ref.policies import PPOConfig
 from agility_ref.ppo import (
-    Learner,
     Rollout,
     adapt_learning_rate,
     collect,
     gae,
     mirror_alternate,
     policy_loss,
+    schedule,
     train,
     update,
 )
@@ -281,6 +282,37 @@ def test_learning_rate_has_a_floor_and_a_ceiling(rate, kl, expected):
     assert adapt_learning_rate(rate, kl, C) == expected
 
 
+def test_annealing_lowers_the_target_and_the_floor():
+    # target 0.01 / 4 = 0.0025: 0.006 is above twice that; floor 1e-4 / 4
+    assert adapt_learning_rate(1e-3, 0.006, C, anneal=0.25) == pytest.approx(1e-3 / 1.5)
+    assert adapt_learning_rate(2.6e-5, 1.0, C, anneal=0.25) == pytest.approx(2.5e-5)
+
+
+@pytest.mark.parametrize("progress, std, anneal", [
+    (0.0, 0.8, 1.0),
+    (0.5, 0.5, 1.0),  # half way from 0.8 to 0.2
+    (0.75, 0.35, 1.0),
+    (0.875, 0.275, 0.5),  # half of the last quarter is left
+    (1.0, 0.2, 0.0),
+])  # fmt: skip
+def test_schedule(progress, std, anneal):
+    config = PPOConfig(init_std=0.8, final_std=0.2, anneal_share=0.25)
+    assert schedule(progress, config) == pytest.approx((std, anneal))
+
+
+def test_schedule_can_be_turned_off():
+    config = PPOConfig(init_std=0.8, final_std=0.8, anneal_share=0.0)
+    assert schedule(1.0, config) == (0.8, 1.0)
+
+
+def test_training_ends_below_the_final_std():
+    config = replace(TINY, init_std=0.8, final_std=0.1)
+    _, records = trained(4, config=config)
+    # The largest values after the updates that begin at 0, 1/4, 1/2 and 3/4 of the steps, for a policy of 0.8.
+    assert (np.array([r["std"] for r in records]) <= [0.8 + 1e-6, 0.625 + 1e-6, 0.45 + 1e-6, 0.275 + 1e-6]).all()
+    assert records[-1]["std"] == pytest.approx(0.275, abs=0.01)
+
+
 # --- determinism, saving, resuming -----------------------------------------------------
 
 
@@ -294,7 +326,7 @@ def test_same_seed_same_weights():
 def test_other_seed_other_weights():
     a, b = (trained(3, seed)[0].arrays() for seed in (0, 1))
     assert not np.array_equal(a["actor.0.weight"], b["actor.0.weight"])
-    assert not np.array_equal(a["log_std"], b["log_std"])
+    assert not np.array_equal(a["critic.0.weight"], b["critic.0.weight"])
 
 
 def test_training_changes_every_parameter():
