@@ -336,6 +336,7 @@ class Go1Env:
             action=action,
             last_action=self._last_action,
             foot_force=-feet[:, :, 1:],  # the sensor gives the foot's force on the ground
+            foot_contact=self.foot_contact,
             foot_on_edge=self.foot_on_edge,
             foot_speed=np.hypot(foot_vel[:, :, 0], foot_vel[:, :, 1]),
             foot_clearance=self._foot_clearance(),

@@ -54,6 +54,8 @@ class StepState:
     """(N, 12) one control step earlier."""
     foot_force: np.ndarray
     """(N, 4, 3) ground force on each foot in the world frame [N]."""
+    foot_contact: np.ndarray
+    """(N, 4) bool, foot touches the ground."""
     foot_on_edge: np.ndarray
     """(N, 4) bool, foot in contact within 5 cm of an edge."""
     foot_speed: np.ndarray
@@ -149,6 +151,15 @@ def feet_drag(s: StepState) -> np.ndarray:
     return (s.foot_speed * np.clip(0.05 - s.foot_clearance, 0.0, 0.05)).sum(axis=1)
 
 
+def gait_sync(s: StepState) -> np.ndarray:
+    """Diagonal pairs of feet (FR RL, FL RR) of which one stands and one does not, on the level course only.
+
+    Not in the original.  Of all gaits that earn the same it picks the trot.
+    """
+    c = s.foot_contact
+    return ((c[:, 0] != c[:, 3]).astype(np.float64) + (c[:, 1] != c[:, 2])) * s.on_level_course
+
+
 def alive(s: StepState) -> np.ndarray:
     """1 on the level course, 0 elsewhere, where it would pay to stand before an obstacle.
 
@@ -161,7 +172,7 @@ TERMS = {
     f.__name__: f
     for f in (
         tracking_goal_vel, tracking_yaw, lin_vel_z, ang_vel_xy, orientation, dof_acc, torques,
-        action_rate, hip_pos, dof_error, collision, feet_stumble, feet_edge, feet_drag, alive,
+        action_rate, hip_pos, dof_error, collision, feet_stumble, feet_edge, feet_drag, gait_sync, alive,
     )
 }  # fmt: skip
 
@@ -192,12 +203,14 @@ class RewardConfig:
     """Distance from the home pose; original -0.04."""
     collision: float = -0.5
     """Touching the terrain with anything but the feet; original -10."""
-    feet_stumble: float = -0.5
+    feet_stumble: float = -0.2
     """Kicking vertical faces; original -1."""
-    feet_edge: float = -1.0
+    feet_edge: float = -0.5
     """Stepping on edges; original -1, there only on the harder courses."""
     feet_drag: float = -2.0
     """Feet that move close to the ground; original 0."""
+    gait_sync: float = -0.3
+    """Diagonal feet out of step on the level course; original 0."""
     alive: float = 0.5
     """Not having fallen, on the level course; original 0, with the sum clipped at zero."""
 

@@ -17,6 +17,8 @@ from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH, SKILLS, Course
 EDGE_MIN_DROP = 0.075  # [m] a box top that drops more than this has an edge there
 EDGE_DISTANCE = 0.05  # [m] a foot in contact within this distance of an edge violates it
 
+SCAN_PATCH = 7  # cells, 0.14 m: what one scandot covers, next to nothing between it and its neighbours
+
 LEAD = {"walk": 0.0, "climb-up": 0.6, "climb-down": 0.5, "leap": 0.7, "beam": 0.4}  # [m]
 TAIL = {"walk": 0.0, "climb-up": 0.3, "climb-down": 0.35, "leap": 0.35, "beam": 0.3}  # [m]
 
@@ -61,6 +63,20 @@ def edge_map(heights: np.ndarray, axes: str = "xy") -> np.ndarray:
             cell = np.clip(border + offset, 0, h.shape[0] - 1)
             np.minimum.at(marked, (cell, other), top)
     return edges
+
+
+def scan_map(heights: np.ndarray) -> np.ndarray:
+    """Mean height of the SCAN_PATCH x SCAN_PATCH cells around every cell, (nx, ny) -> (nx, ny) [m].
+
+    Scandots stand 0.15 m apart.  Sampled at points, they say on which side of a dot an edge
+    lies but not where, and a beam of 0.12 m can stand between two of them unseen.
+    """
+    reach = SCAN_PATCH // 2
+    for axis in (0, 1):
+        padding = [(reach, reach) if k == axis else (0, 0) for k in (0, 1)]
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(heights, padding, mode="edge"), SCAN_PATCH, axis)
+        heights = windows.mean(axis=-1, dtype=np.float32)
+    return heights
 
 
 def region_map(course: Course) -> np.ndarray:
@@ -116,6 +132,7 @@ class World:
     ----------
     courses : list of Course, length C
     heights : (C, nx, ny) float32 [m]
+    scan : (C, nx, ny) float32 [m], what scandots see; see :func:`scan_map`
     edges : (C, nx, ny) float32 [m], height of a near edge or +inf
     waypoints : (C, 8, 2) [m]
     regions : (C, nx) int8, the oracle's skill
@@ -128,6 +145,7 @@ class World:
             raise ValueError("a world needs at least one course")
         self.courses = list(courses)
         self.heights = np.stack([height_map(c) for c in courses])
+        self.scan = np.stack([scan_map(h) for h in self.heights])
         self.edges = np.stack([edge_map(h, edges) for h in self.heights])
         self.waypoints = np.stack([c.waypoints for c in courses])
         self.regions = np.stack([region_map(c) for c in courses])

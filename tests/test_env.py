@@ -18,7 +18,7 @@ from agility_ref.observation import (
     wrap,
 )
 from agility_ref.task import TRAINING
-from agility_ref.terrain import COURSE_KINDS, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, make_course
+from agility_ref.terrain import CELL, COURSE_KINDS, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, make_course
 from agility_ref.world import World
 
 CLEAN = EnvConfig().clean()
@@ -258,6 +258,11 @@ def test_wrap():
     np.testing.assert_allclose(wrap(np.array([0.0, 3.0, 4.0, -4.0])), [0.0, 3.0, 4.0 - 2 * np.pi, 2 * np.pi - 4.0])
 
 
+def surface(boxes, x, y):
+    """Height of the ground at (x, y), y from the right border."""
+    return max(b.top for b in boxes if b.x0 <= x <= b.x1 and b.y0 <= y - LANE_WIDTH / 2 <= b.y1)
+
+
 @pytest.mark.parametrize("kind", COURSE_KINDS)
 def test_scandots_against_a_loop_over_boxes(kind):
     env = make_env(kind, n=6, d=0.8, config=replace(CLEAN, scandot_period=1))
@@ -287,19 +292,19 @@ def test_scandots_against_a_loop_over_boxes(kind):
         for a, dx in enumerate(SCANDOT_X):
             for b, dy in enumerate(SCANDOT_Y):
                 px = x + np.cos(yaw) * dx - np.sin(yaw) * dy
-                py = y + np.sin(yaw) * dx + np.cos(yaw) * dy
-                # beyond the lane the border goes on
-                px, py = (
-                    np.clip(px, 1e-3, LANE_LENGTH - 1e-3),
-                    np.clip(py, -LANE_WIDTH / 2 + 1e-3, LANE_WIDTH / 2 - 1e-3),
-                )
-                under = [o for o in boxes if o.x0 <= px <= o.x1 and o.y0 <= py <= o.y1]
-                if any(min(abs(px - o.x0), abs(px - o.x1), abs(py - o.y0), abs(py - o.y1)) < 2e-4 for o in under):
-                    continue  # on a border, rounding decides
-                ground = max(o.top for o in under)
-                assert observed[robot, a, b] == pytest.approx(np.clip(z - 0.3 - ground, -1, 1), abs=1e-5)
+                py = y + np.sin(yaw) * dx + np.cos(yaw) * dy + LANE_WIDTH / 2
+                if min(px % CELL, -px % CELL, py % CELL, -py % CELL) < 2e-4:
+                    continue  # on the border of a cell, rounding decides
+                # The mean over 7 x 7 cells, at their centres; beyond the lane its border goes on.
+                i, j = (int(np.clip(p // CELL, 0, n - 1)) for p, n in ((px, 900), (py, 200)))
+                around = [
+                    surface(boxes, (np.clip(i + k, 0, 899) + 0.5) * CELL, (np.clip(j + m, 0, 199) + 0.5) * CELL)
+                    for k in range(-3, 4)
+                    for m in range(-3, 4)
+                ]
+                assert observed[robot, a, b] == pytest.approx(np.clip(z - 0.3 - np.mean(around), -1, 1), abs=1e-5)
                 checked += 1
-    assert checked > 0.95 * 6 * NUM_SCANDOTS
+    assert checked > 0.9 * 6 * NUM_SCANDOTS
 
 
 # --- noise -----------------------------------------------------------------------------

@@ -28,6 +28,7 @@ def state(n=1, **changes):
         "action": np.zeros((n, 12)),
         "last_action": np.zeros((n, 12)),
         "foot_force": np.zeros((n, 4, 3)),
+        "foot_contact": np.ones((n, 4), bool),
         "foot_on_edge": np.zeros((n, 4), bool),
         "foot_speed": np.zeros((n, 4)),
         "foot_clearance": np.zeros((n, 4)),
@@ -81,6 +82,10 @@ def test_every_weight_has_a_term():
     ("feet_drag", {
         "foot_speed": np.array([[0.5, 1.0, 3.0, 0.0]]), "foot_clearance": np.array([[-0.5, 0.03, 0.06, 0.0]]),
     }, 0.045),
+    # FR and RL stand, FL and RR swing: a trot; with RR down too one pair is out of step
+    ("gait_sync", {"foot_contact": np.array([[True, False, False, True]])}, 0.0),
+    ("gait_sync", {"foot_contact": np.array([[True, False, True, True]])}, 1.0),
+    ("gait_sync", {"foot_contact": np.array([[True, False, True, True]]), "on_level_course": np.array([False])}, 0.0),
     ("alive", {}, 1.0),
 ])  # fmt: skip
 def test_term_by_hand(name, changes, expected):

@@ -17,7 +17,7 @@ from agility_ref.terrain import (
     Obstacle,
     make_course,
 )
-from agility_ref.world import EDGE_MIN_DROP, LEAD, TAIL, World, edge_map, height_map, region_map, support_map
+from agility_ref.world import EDGE_MIN_DROP, LEAD, TAIL, World, edge_map, height_map, region_map, scan_map, support_map
 
 INF = np.inf
 SEEDS = range(8)
@@ -334,3 +334,16 @@ def test_cells_clip_to_the_lane():
 def test_an_empty_world_is_refused():
     with pytest.raises(ValueError, match="at least one"):
         World([])
+
+
+def test_scan_map_is_the_mean_of_a_patch():
+    heights = np.zeros((20, 12), np.float32)
+    heights[10:, 5] = 0.49  # a wall one cell thick from x = 10 on
+    scan = scan_map(heights)
+    # Over 7 x 7 cells the wall takes k of 7 rows and 1 of 7 columns: 0.49 k / 49
+    assert scan[6, 5] == 0.0
+    assert scan[7, 5] == pytest.approx(0.01)
+    assert scan[12, 2] == pytest.approx(0.06)
+    assert scan[14, 8] == pytest.approx(0.07)
+    assert scan[14, 9] == scan[14, 1] == 0.0
+    np.testing.assert_allclose(scan_map(np.full((20, 12), 0.3, np.float32)), 0.3, rtol=1e-6)

@@ -32,7 +32,7 @@ from agility_ref.terrain import (
     roughness,
     step_height,
 )
-from agility_ref.world import EDGE_DISTANCE, EDGE_MIN_DROP, World, edge_map, height_map, region_map
+from agility_ref.world import EDGE_DISTANCE, EDGE_MIN_DROP, World, edge_map, height_map, region_map, scan_map
 
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
@@ -162,7 +162,9 @@ save(figure, "01_difficulty.png")
 #     point  = (p_x, p_y) + R(psi) (a, b)
 #     dot    = clip( z - 0.3 - h(point), -1, +1 )                    [m]
 #
-# so 0 means "ground at standing distance", positive means lower, negative means higher.
+# where h is the mean height of the 7 x 7 cells around the point: dots that only knew their own
+# point could not say where between two of them an edge lies, and would miss a narrow beam.
+# So 0 means "ground at standing distance", positive means lower, negative means higher.
 
 
 # %%
@@ -198,7 +200,7 @@ observation, *_ = env.step(np.zeros((3, 12)))
 figure, axes = new_figure(1, 3, (11.0, 3.5))
 difference = []
 for k, axis in enumerate(axes[0]):
-    points, dots = scandots(env.base_pos[k], env.yaw[k], heights[kind])
+    points, dots = scandots(env.base_pos[k], env.yaw[k], scan_map(heights[kind]))
     difference.append(np.abs(dots - observation[k, SCANDOTS]).max())
     axis.imshow(heights[kind].T, origin="lower", extent=EXTENT, cmap="Greys_r", interpolation="nearest", alpha=0.5)
     shown = axis.scatter(
