@@ -26,6 +26,8 @@ class Learner:
     learning_rate: float = field(init=False)
     steps: int = 0
     """Environment steps so far, warm start included."""
+    start: int = 0
+    """Of these, the warm start's."""
     anneal: float = 1.0
     """Factor of KL target and lowest step size; see :func:`schedule`."""
 

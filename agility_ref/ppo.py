@@ -81,7 +81,7 @@ def adapt_learning_rate(rate: float, kl: float, config: PPOConfig, anneal: float
 
 
 def schedule(progress: float, config: PPOConfig) -> tuple[float, float]:
-    """Return the largest standard deviation, and the factor ``anneal``, at a share of all steps.
+    """Return the largest standard deviation, and the factor ``anneal``, at a share of the run's own steps.
 
     Noise that finds the way up a step also throws the robot off it: first explore, then refine.
     """
@@ -252,7 +252,9 @@ def train(env, learner: Learner, total_steps: int, stop: Callable[[], bool] = la
         start = time.perf_counter()
         rollout, obs = collect(env, learner, obs)
         collected = time.perf_counter()
-        max_std, learner.anneal = schedule(learner.steps / total_steps, learner.config)
+        max_std, learner.anneal = schedule(
+            (learner.steps - learner.start) / (total_steps - learner.start), learner.config
+        )
         losses = update(learner, rollout)
         learner.net.log_std.data.clamp_(max=float(np.log(max_std)))
         learner.steps += learner.config.batch_size

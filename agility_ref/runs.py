@@ -215,7 +215,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
         arrays = learner.arrays() | learner.training_arrays() | {"curriculum.level": curriculum.level}
         meta = {
             "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": learner.steps,
-            "courses": spec.courses, "act_dim": act_dim, "obs_dim": OBS_DIM, "versions": checkpoint.versions(),
+            "start": learner.start, "courses": spec.courses, "act_dim": act_dim, "obs_dim": OBS_DIM, "versions": checkpoint.versions(),
             "wall_seconds": time.monotonic() - start, "decision_steps": hold, "config": asdict(config),
         }  # fmt: skip
         log.write()
@@ -255,7 +255,7 @@ def _resume_or_warm_start(
                 f"{folder} decides every {meta.get('decision_steps', 1)} steps; give that, or another --out"
             )
         learner.load_arrays(arrays)
-        learner.steps = meta["steps"]
+        learner.steps, learner.start = meta["steps"], meta.get("start", 0)
         learner.generator.manual_seed(config.seed + learner.steps)  # not the noise of the first part again
         level = arrays["curriculum.level"]
         if len(level) != len(curriculum.level):
@@ -266,7 +266,7 @@ def _resume_or_warm_start(
     if spec.warm_start and config.warm_start:
         arrays, meta = checkpoint.load(weights_path(spec.warm_start, config))
         learner.load_arrays({k: v for k, v in arrays.items() if not k.startswith("optimizer.")})
-        learner.steps = meta["steps"]
+        learner.steps = learner.start = meta["steps"]
         learner.net.log_std.data.fill_(float(np.log(config.warm_std)))
     return []
 

@@ -107,7 +107,8 @@ def learn(
     seconds, curve = 0.0, []
     if start is not None:
         learner.load_arrays(start.arrays)
-        learner.steps, seconds = start.steps, start.seconds
+        learner.steps = learner.start = start.steps
+        seconds = start.seconds
         learner.net.log_std.data.fill_(math.log(config.warm_std))
     if learner.steps >= total:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")

@@ -313,6 +313,14 @@ def test_training_ends_below_the_final_std():
     assert records[-1]["std"] == pytest.approx(0.275, abs=0.01)
 
 
+def test_schedule_counts_the_runs_own_steps():
+    learner = make(config=replace(TINY, init_std=0.8, final_std=0.2))
+    learner.steps = learner.start = 10 * TINY.batch_size
+    stds = [r["std"] for r in train(FakeEnv(), learner, 12 * TINY.batch_size)]
+    # Updates at 0 and at 1/2 of the two iterations that are the run's own.
+    assert stds[0] > 0.75 and stds[1] <= 0.5 + 1e-6
+
+
 # --- determinism, saving, resuming -----------------------------------------------------
 
 
