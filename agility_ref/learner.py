@@ -97,3 +97,9 @@ class Learner:
                 self._optimizer(name).state[parameter] = {
                     key: torch.from_numpy(arrays[f"optimizer.{name}.{key}"].copy()) for key in keys
                 }
+
+    def warm_start(self, arrays: dict[str, np.ndarray], steps: int, std: float) -> None:
+        """Go on from another policy's network after its ``steps``, with a fresh optimiser and exploration noise ``std``."""
+        self.load_arrays({name: a for name, a in arrays.items() if not name.startswith("optimizer.")})
+        self.steps = self.start = steps
+        self.net.log_std.data.fill_(float(np.log(std)))

@@ -175,7 +175,7 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
     return folder
 
 
-def _make_env(spec: PolicySpec, config: TrainConfig) -> tuple[Go1Env, Curriculum]:
+def make_env(spec: PolicySpec, config: TrainConfig) -> tuple[Go1Env, Curriculum]:
     """Build the training courses and the robots on them; seeds never meet those of evaluation."""
     top = find_preset(config.preset).max_difficulty
     world = training_world(spec.courses, config.curriculum, top, config.seed)
@@ -198,7 +198,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     if selector:
         ppo = replace(ppo, ent_coef=config.selector.ent_coef, gamma=ppo.gamma**hold)
         config = replace(config, curriculum=replace(config.curriculum, enabled=False))
-    env, curriculum = _make_env(spec, config)
+    env, curriculum = make_env(spec, config)
     act_dim = len(spec.skills) if selector else ACTION_DIM
     learner = Learner.create(OBS_DIM, act_dim, ppo, config.seed, Categorical if selector else Gaussian, fixed=SCANDOTS)
     if selector:
@@ -265,9 +265,7 @@ def _resume_or_warm_start(
             return [row for row in csv.DictReader(file) if int(row["steps"]) <= learner.steps]
     if spec.warm_start and config.warm_start:
         arrays, meta = checkpoint.load(weights_path(spec.warm_start, config))
-        learner.load_arrays({k: v for k, v in arrays.items() if not k.startswith("optimizer.")})
-        learner.steps = learner.start = meta["steps"]
-        learner.net.log_std.data.fill_(float(np.log(config.warm_std)))
+        learner.warm_start(arrays, meta["steps"], config.warm_std)
     return []
 
 
@@ -275,7 +273,7 @@ def _train_supervised(spec: PolicySpec, config: TrainConfig, folder: Path, quiet
     """Collect oracle labels and fit the selector (paper section 3.2.3)."""
     start = time.monotonic()
     config = replace(config, curriculum=replace(config.curriculum, enabled=False))
-    env, _ = _make_env(spec, config)
+    env, _ = make_env(spec, config)
     skills = load_skills(spec, config)
     oracle = oracle_hierarchy("oracle", skills)
     rounds = config.supervised.dagger_rounds + 1

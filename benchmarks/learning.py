@@ -17,16 +17,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agility_ref.checkpoint import Policy
-from agility_ref.curriculum import Curriculum, training_world
-from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
+from agility_ref.env import ACTION_DIM, EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluate
 from agility_ref.learner import Learner
 from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.plots import band, new_figure, style
-from agility_ref.policies import find_policy, find_preset, requirements
+from agility_ref.policies import find_policy, requirements
 from agility_ref.ppo import train
-from agility_ref.runs import TrainConfig
+from agility_ref.runs import TrainConfig, make_env
 from agility_ref.selector import Single
 
 CURVE_COLUMNS = ("steps", "seconds", "waypoint_fraction", "falls", "level")
@@ -99,17 +98,12 @@ def learn(
     ------
     UserError : nothing is left to train after the warm start
     """
-    spec = find_policy(name)
-    world = training_world(spec.courses, config.curriculum, find_preset(config.preset).max_difficulty, config.seed)
-    curriculum = Curriculum(len(spec.courses), config.ppo.num_envs, config.curriculum, config.seed)
-    env = Go1Env(world, config.ppo.num_envs, config.env, curriculum.next_course, config.seed)
+    env, curriculum = make_env(find_policy(name), config)
     learner = Learner.create(OBS_DIM, ACTION_DIM, config.ppo, config.seed, fixed=SCANDOTS)
     seconds, curve = 0.0, []
     if start is not None:
-        learner.load_arrays(start.arrays)
-        learner.steps = learner.start = start.steps
+        learner.warm_start(start.arrays, start.steps, config.warm_std)
         seconds = start.seconds
-        learner.net.log_std.data.fill_(math.log(config.warm_std))
     if learner.steps >= total:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
 

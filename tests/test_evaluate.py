@@ -266,16 +266,17 @@ def test_episodes_are_complete(single):
     np.testing.assert_array_equal(evaluation.episode_length[~evaluation.fell], 30)
 
 
+class Jump(Single):
+    """Leaves the lane in the third step, on the first course only."""
+
+    def act(self, observation, env):
+        self.step = getattr(self, "step", 0) + 1
+        if self.step == 3:
+            env._qpos[0, 1] = 5.0
+        return np.zeros((len(observation), 12)), None
+
+
 def test_falls_are_told_from_time_outs(make_policy):
-    class Jump(Single):
-        """Leaves the lane in the third step, on the first course only."""
-
-        def act(self, observation, env):
-            self.step = getattr(self, "step", 0) + 1
-            if self.step == 3:
-                env._qpos[0, 1] = 5.0
-            return np.zeros((len(observation), 12)), None
-
     evaluation = evaluate(Jump("jump", make_policy()), "walk", FEW, SHORT)
     np.testing.assert_array_equal(evaluation.fell, [True, False, False])
     np.testing.assert_array_equal(evaluation.episode_length, [3, 30, 30])
@@ -339,15 +340,6 @@ PUBLISHED = replace(FEW, protocol="as-published")
 
 
 def test_who_falls_early_counts_several_times(make_policy):
-    class Jump(Single):
-        """Leaves the lane in the third step, on the first course only."""
-
-        def act(self, observation, env):
-            self.step = getattr(self, "step", 0) + 1
-            if self.step == 3:
-                env._qpos[0, 1] = 5.0
-            return np.zeros((len(observation), 12)), None
-
     evaluation = evaluate(Jump("jump", make_policy()), "walk", PUBLISHED, SHORT)
     # 45 steps: robot 0 ends in steps 3 and 33, the others in step 30 alone
     np.testing.assert_array_equal(evaluation.episode_length, [3, 30, 30, 30])
