@@ -50,6 +50,7 @@ class Go1Env:
     scandots              132  clip(trunk z - 0.3 - ground height, +-1) [m] at 12 x 11
                                points 0.15 m apart, x -0.45..1.20, y +-0.75, turned
                                with the yaw, x-major
+    clock                 0/2  with ``gait_clock`` alone: sine and cosine of its phase
     ===================  ====  ===================================================
 
     **Reward**: :mod:`agility_ref.rewards`; ``info["reward_terms"]`` holds every term.
@@ -427,4 +428,8 @@ class Go1Env:
             noise = noise[ids] * (self.config.noise * NOISE)
             observation[:, : SCANDOTS.start] += noise[:, :-1]
             observation[:, SCANDOTS] += noise[:, -1:]
+        if self.config.gait_clock:
+            phase = 2.0 * np.pi * self.config.gait_clock * self.config.dt * self._step_count[ids]
+            clock = np.stack([np.sin(phase), np.cos(phase)], axis=1, dtype=np.float32)
+            observation = np.concatenate([observation, clock], axis=1)
         return observation

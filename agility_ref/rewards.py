@@ -160,6 +160,15 @@ def gait_sync(s: StepState) -> np.ndarray:
     return ((c[:, 0] != c[:, 3]).astype(np.float64) + (c[:, 1] != c[:, 2])) * s.on_level_course
 
 
+def standing(s: StepState) -> np.ndarray:
+    """What is missing to 0.3 times the commanded speed towards the waypoint, as a fraction, off the level course.
+
+    Not in the original.  Whoever faces the waypoint and stands earns ``tracking_yaw``, and a
+    beginner who tries a gap half the time falls and earns no more: without this, not trying pays.
+    """
+    return np.clip(1.0 - s.goal_velocity / (0.3 * s.command), 0.0, 1.0) * ~s.on_level_course
+
+
 def alive(s: StepState) -> np.ndarray:
     """1 on the level course, 0 elsewhere, where it would pay to stand before an obstacle.
 
@@ -172,7 +181,7 @@ TERMS = {
     f.__name__: f
     for f in (
         tracking_goal_vel, tracking_yaw, lin_vel_z, ang_vel_xy, orientation, dof_acc, torques,
-        action_rate, hip_pos, dof_error, collision, feet_stumble, feet_edge, feet_drag, gait_sync, alive,
+        action_rate, hip_pos, dof_error, collision, feet_stumble, feet_edge, feet_drag, gait_sync, standing, alive,
     )
 }  # fmt: skip
 
@@ -185,7 +194,7 @@ class RewardConfig:
     """Speed towards the waypoint; original 1.5."""
     tracking_yaw: float = 0.5
     """Facing the waypoint; original 0.5."""
-    lin_vel_z: float = -0.5
+    lin_vel_z: float = -0.8
     """Bouncing; original -1."""
     ang_vel_xy: float = -0.02
     """Rolling and pitching rates; original -0.05."""
@@ -211,6 +220,8 @@ class RewardConfig:
     """Feet that move close to the ground; original 0."""
     gait_sync: float = -0.3
     """Diagonal feet out of step on the level course; original 0."""
+    standing: float = -0.5
+    """Not getting on; cancels what standing earns by facing the waypoint; original 0."""
     alive: float = 0.5
     """Not having fallen, on the level course; original 0, with the sum clipped at zero."""
 

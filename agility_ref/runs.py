@@ -155,6 +155,8 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
         raise UserError(
             "the oracle needs no training: it reads the region map; train its skills: " + ", ".join(spec.skills)
         )
+    if config.env.gait_clock and (spec.method != "ppo" or config.ppo.mirror):
+        raise UserError("env.gait-clock is for skills and generalists, without ppo.mirror")
     folder = run_folder(config.root, name, config.seed)
     if (folder / "DONE").exists():
         if not config.overwrite:
@@ -200,7 +202,8 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
         config = replace(config, curriculum=replace(config.curriculum, enabled=False))
     env, curriculum = make_env(spec, config)
     act_dim = len(spec.skills) if selector else ACTION_DIM
-    learner = Learner.create(OBS_DIM, act_dim, ppo, config.seed, Categorical if selector else Gaussian, fixed=SCANDOTS)
+    distribution = Categorical if selector else Gaussian
+    learner = Learner.create(config.env.obs_dim, act_dim, ppo, config.seed, distribution, fixed=SCANDOTS)
     if selector:
         oracle = oracle_hierarchy(spec.name, load_skills(spec, config))
         env = SelectorEnv(env, oracle, spec.reward, config.selector, config.ppo.gamma)
@@ -215,8 +218,8 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
         arrays = learner.arrays() | learner.training_arrays() | {"curriculum.level": curriculum.level}
         meta = {
             "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": learner.steps,
-            "start": learner.start, "courses": spec.courses, "act_dim": act_dim, "obs_dim": OBS_DIM, "versions": checkpoint.versions(),
-            "wall_seconds": time.monotonic() - start, "decision_steps": hold, "config": asdict(config),
+            "start": learner.start, "courses": spec.courses, "act_dim": act_dim, "obs_dim": config.env.obs_dim,
+            "versions": checkpoint.versions(), "wall_seconds": time.monotonic() - start, "decision_steps": hold, "config": asdict(config),
         }  # fmt: skip
         log.write()
         checkpoint.save(folder / "policy.npz", arrays, meta)

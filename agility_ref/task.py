@@ -7,6 +7,7 @@ differ.  In: nothing.  Out: :class:`EnvConfig`, which :class:`~agility_ref.env.G
 from dataclasses import dataclass, replace
 
 from agility_ref.go1 import PhysicsConfig
+from agility_ref.observation import OBS_DIM
 from agility_ref.rewards import RewardConfig
 
 
@@ -40,6 +41,8 @@ class EnvConfig:
     """Angle between trunk and vertical beyond which a robot has tipped over [rad]."""
     noise: float = 1.0
     """Scale of the observation noise; 0 turns it off."""
+    gait_clock: float = 0.0
+    """Rate [Hz] of a clock whose sine and cosine the robot also senses, an ablation; 0 for none, usual 2 to 3."""
     scandot_period: int = 2
     """Control steps between two looks at the ground, taken in turn by the robots; 2 is 25 Hz, the original has 10 Hz."""
     push_interval: float = 6.0
@@ -64,6 +67,11 @@ class EnvConfig:
     def dt(self) -> float:
         """Time between two actions [s]."""
         return self.physics.timestep * self.physics.substeps * self.action_repeat
+
+    @property
+    def obs_dim(self) -> int:
+        """Numbers in an observation: OBS_DIM, and two more with a clock."""
+        return OBS_DIM + 2 * bool(self.gait_clock)
 
     def clean(self) -> "EnvConfig":
         """Return the same task without noise, pushes and payload, at friction 1."""

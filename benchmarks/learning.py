@@ -21,7 +21,7 @@ from agility_ref.env import ACTION_DIM, EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluate
 from agility_ref.learner import Learner
-from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.observation import SCANDOTS
 from agility_ref.plots import band, new_figure, style
 from agility_ref.policies import find_policy, requirements
 from agility_ref.ppo import train
@@ -99,7 +99,7 @@ def learn(
     UserError : nothing is left to train after the warm start
     """
     env, curriculum = make_env(find_policy(name), config)
-    learner = Learner.create(OBS_DIM, ACTION_DIM, config.ppo, config.seed, fixed=SCANDOTS)
+    learner = Learner.create(config.env.obs_dim, ACTION_DIM, config.ppo, config.seed, fixed=SCANDOTS)
     seconds, curve = 0.0, []
     if start is not None:
         learner.warm_start(start.arrays, start.steps, config.warm_std)

@@ -86,6 +86,17 @@ def test_no_observation_element_is_constant(kind):
     assert not constant.any(), np.flatnonzero(constant)
 
 
+def test_gait_clock_ends_the_observation():
+    # 2.5 Hz at 50 Hz control: 20 steps a turn, so after t steps the phase is 18 t degrees.
+    env = make_env(n=2, config=replace(CLEAN, gait_clock=2.5))
+    obs, _ = env.reset(0)
+    assert obs.shape == (2, OBS_DIM + 2) and env.config.obs_dim == OBS_DIM + 2
+    np.testing.assert_allclose(obs[:, OBS_DIM:], [[0, 1]] * 2, atol=1e-6)
+    for _ in range(5):
+        obs, *_ = env.step(still(env))
+    np.testing.assert_allclose(obs[:, OBS_DIM:], [[1, 0]] * 2, atol=1e-6)
+
+
 def test_observations_do_not_share_memory():
     env = make_env(n=2)
     a, _ = env.reset(0)

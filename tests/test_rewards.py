@@ -86,6 +86,10 @@ def test_every_weight_has_a_term():
     ("gait_sync", {"foot_contact": np.array([[True, False, False, True]])}, 0.0),
     ("gait_sync", {"foot_contact": np.array([[True, False, True, True]])}, 1.0),
     ("gait_sync", {"foot_contact": np.array([[True, False, True, True]]), "on_level_course": np.array([False])}, 0.0),
+    # off the level course: 1 - 0.06 / (0.3 * 0.8) = 0.75; going back counts as standing, 0.24 m/s as going
+    ("standing", {"goal_velocity": np.array([0.06]), "command": np.array([0.8]), "on_level_course": np.array([False])}, 0.75),
+    ("standing", {"goal_velocity": np.array([-1.0]), "on_level_course": np.array([False])}, 1.0),
+    ("standing", {"goal_velocity": np.array([0.3]), "on_level_course": np.array([False])}, 0.0),
     ("alive", {}, 1.0),
 ])  # fmt: skip
 def test_term_by_hand(name, changes, expected):
@@ -104,6 +108,12 @@ def test_standing_still_costs_nothing():
     assert costs
     for name in costs:
         assert TERMS[name](state(2)).tolist() == [0.0, 0.0], name
+
+
+def test_standing_before_an_obstacle_earns_nothing():
+    # 0.5 exp(-0) for facing the waypoint, -0.5 for not getting there
+    reward, _ = compute_reward(state(on_level_course=np.array([False])), RewardConfig())
+    assert reward.tolist() == [0.0]
 
 
 @pytest.mark.parametrize("name", TERMS)
