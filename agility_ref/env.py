@@ -142,7 +142,6 @@ class Go1Env:
         self._reach_timer = np.zeros(n, int)
         self._step_count = np.zeros(n, int)
         self._reach_step = np.zeros(n, int)  # step count at the last waypoint
-        self._first_waypoint = np.zeros(n, int)  # index at the start of the episode
         self._push_timer = np.zeros(n, int)  # control steps until the next push
         self._last_action = np.zeros((n, ACTION_DIM))
         self._scandots = np.zeros((n, NUM_SCANDOTS), np.float32)
@@ -210,8 +209,6 @@ class Go1Env:
             "reward": self._episode_reward.copy(),
             "length": self._step_count.copy(),
             "waypoints": self.waypoint_index.copy(),
-            # Of those that were ahead at the start, for starts along the course.
-            "waypoint_fraction": (self.waypoint_index - self._first_waypoint) / (NUM_WAYPOINTS - self._first_waypoint),
             "edge": self._episode_edge.copy(),
             "course": self.course.copy(),
         }
@@ -219,7 +216,7 @@ class Go1Env:
         done = np.flatnonzero(terminated | truncated)
         if len(done):
             last_observation = self._observe(done, noise)
-            self._reset(done, episode["waypoint_fraction"][done])
+            self._reset(done, self.waypoint_index[done] / NUM_WAYPOINTS)
         self._clock += 1
         due = (self._everyone + self._clock) % c.scandot_period == 0
         due[done] = True
@@ -277,41 +274,33 @@ class Go1Env:
         self.course[ids] = self.next_course(ids, waypoint_fraction)
         self._placement.place(ids, self.course[ids])
         self.batch.state[ids] = self._start  # the home pose, at rest, no warm start
-        first, qpos = self._start_pose(self.course[ids])
-        self._qpos[ids] = qpos
+        qpos = self._qpos[ids] = self._start_pose(n)
         self.command[ids] = rng.uniform(c.command_low, c.command_high, n)
         if self._push_steps:
             self._push_timer[ids] = rng.integers(1, self._push_steps + 1, n)
         for array in (
-            self._reach_timer, self._reach_step, self._step_count, self._last_action,
+            self.waypoint_index, self._reach_timer, self._reach_step, self._step_count, self._last_action,
             self._episode_reward, self._episode_edge, self.foot_contact, self.foot_on_edge,
         ):  # fmt: skip
             array[ids] = 0
-        self.waypoint_index[ids] = self._first_waypoint[ids] = first
         self.base_lin_vel[ids], self.projected_gravity[ids] = 0.0, (0.0, 0.0, -1.0)
         self.yaw[ids] = 2.0 * np.arctan2(qpos[:, 6], qpos[:, 3])
         self._update_goal(ids)
 
-    def _start_pose(self, course: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Draw where robots start on their courses: first waypoint to reach (n,) and qpos (n, 19)."""
-        n, rng, c = len(course), self.rng, self.config
+    def _start_pose(self, n: int) -> np.ndarray:
+        """Draw n starts, qpos (n, 19)."""
+        rng, c = self.rng, self.config
         shift = rng.uniform(-0.1, 0.1, (n, 3 + ACTION_DIM))  # x, y [m], yaw, joints [rad]
-        first, x, y, z, yaw = np.zeros(n, int), np.full(n, SPAWN_X), np.zeros(n), np.zeros(n), np.zeros(n)
-        if c.scattered_start_share:
-            at = rng.integers(0, NUM_WAYPOINTS - 1, n)  # stand at this waypoint and face the next
-            ground, here, ahead = self.world.standing[course, at], *(self._waypoints[course, at + k] for k in (0, 1))
-            moved = np.flatnonzero((rng.random(n) < c.scattered_start_share) & np.isfinite(ground))
-            first[moved], z[moved], (x[moved], y[moved]) = at[moved] + 1, ground[moved], here[moved].T
-            yaw[moved] = np.arctan2(*(ahead - here)[moved, ::-1].T)
+        yaw = np.zeros(n)
         if c.turned_start_share:
             turned = rng.random(n) < c.turned_start_share
             yaw[turned] = rng.uniform(-np.pi, np.pi, np.count_nonzero(turned))
-        qpos = np.tile(self._home, (n, 1))
-        qpos[:, 0], qpos[:, 1], qpos[:, 2] = x + shift[:, 0], y + shift[:, 1], z + STAND_HEIGHT + 0.02
         yaw += shift[:, 2]
+        qpos = np.tile(self._home, (n, 1))
+        qpos[:, 0], qpos[:, 1], qpos[:, 2] = SPAWN_X + shift[:, 0], shift[:, 1], STAND_HEIGHT + 0.02
         qpos[:, 3], qpos[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
         qpos[:, 7:] += shift[:, 3:]
-        return first, qpos
+        return qpos
 
     # ------------------------------------------------------------------ state
 
@@ -337,6 +326,7 @@ class Go1Env:
         self.foot_contact = feet[:, :, 0] > 0
         self.foot_on_edge = self._near_edge()
         self._goal_distance = np.hypot(self.goal[:, 0], self.goal[:, 1])
+        ground = self.world.ground(self.course[:, None], self._foot_pos)
         return StepState(
             dt=self.config.dt,
             base_lin_vel=self.base_lin_vel,
@@ -357,14 +347,9 @@ class Go1Env:
             foot_contact=self.foot_contact,
             foot_on_edge=self.foot_on_edge,
             foot_speed=np.hypot(foot_vel[:, :, 0], foot_vel[:, :, 1]),
-            foot_clearance=self._foot_clearance(),
+            foot_clearance=self._foot_pos[:, :, 2] - FOOT_RADIUS - ground,
             body_contact=self._sensors[:, 16:25] > 0,
         )
-
-    def _foot_clearance(self) -> np.ndarray:
-        """(N, 4) height of the feet's lowest points over the ground under them [m]."""
-        i, j = self.world.cells(self._foot_pos[:, :, 0], self._foot_pos[:, :, 1])
-        return self._foot_pos[:, :, 2] - FOOT_RADIUS - self.world.heights[self.course[:, None], i, j]
 
     def _near_edge(self) -> np.ndarray:
         """(N, 4) feet in contact within 5 cm of an edge, sideways and in height."""

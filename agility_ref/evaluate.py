@@ -13,6 +13,7 @@ In:  a policy (:class:`~agility_ref.selector.Single` or ``Hierarchy``) and an en
 Out: :class:`Evaluation`, one number per episode and metric.
 """
 
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -50,6 +51,11 @@ class EvaluationConfig:
     """Turn noise, pushes, payload and friction differences off."""
     protocol: str = "complete"
     """complete: whole episodes, paired; as-published: counts as the original evaluator does."""
+
+
+def in_first_episode(done: np.ndarray) -> np.ndarray:
+    """Which steps belong to each robot's first episode: (T, N) -> (T, N) bool."""
+    return np.cumsum(done, axis=0) - done == 0
 
 
 # The four metrics.  alive[t, n] says that episode n had not ended before step t.
@@ -217,8 +223,8 @@ def evaluate(
         step, robot = measured.pop("ends").T
         fell, difficulty, skill, oracle = r["terminated"][step, robot], env.world.difficulties[robot], None, None
     else:
-        r = rollout(policy, env, config.seed, lambda done: np.any(done, axis=0).all())
-        alive = np.cumsum(r["done"], axis=0) - r["done"] == 0
+        r = rollout(policy, env, config.seed)
+        alive = in_first_episode(r["done"])
         measured = {
             "reward": reward_metric(r["reward"], alive),
             "episode_length": episode_length(alive),
@@ -233,20 +239,30 @@ def evaluate(
     )  # fmt: skip
 
 
+def first_episodes(done: list[np.ndarray]) -> bool:
+    """Whether every robot has ended an episode; done holds an array (N,) for each step."""
+    return np.any(done, axis=0).all()
+
+
 def rollout(
-    policy: Single | Hierarchy, env: Go1Env, seed: int, enough: Callable[[list[np.ndarray]], bool]
+    policy: Single | Hierarchy,
+    env: Go1Env,
+    seed: int,
+    enough: Callable[[list[np.ndarray]], bool] = first_episodes,
+    watch: Callable[[], dict[str, np.ndarray]] = dict,
 ) -> dict[str, np.ndarray]:
-    """Step until ``enough`` of the list of ``done`` arrays is true; return (T, N) arrays.
+    """Step until ``enough`` of the list of ``done`` arrays is true; return (T, N, ...) arrays.
 
     Robots whose episode ends begin another one at once.  ``waypoints`` is the count after the
-    step, before the reset; ``skill`` and ``oracle`` are there for hierarchies only.
+    step, before the reset; ``skill`` and ``oracle`` are there for hierarchies only; whatever
+    ``watch`` returns is taken before each step.
     """
     observation, _ = env.reset(seed)
     policy.reset()
-    r: dict[str, list[np.ndarray]] = {
-        k: [] for k in ("reward", "waypoints", "edge", "terminated", "done", "skill", "oracle")
-    }
+    r: dict[str, list[np.ndarray]] = defaultdict(list)
     while not r["done"] or not enough(r["done"]):
+        for name, values in watch().items():
+            r[name].append(values)
         if isinstance(policy, Hierarchy):
             r["oracle"].append(policy.labels[env.oracle_skill()])
         action, skill = policy.act(observation, env)
@@ -259,7 +275,7 @@ def rollout(
         r["terminated"].append(terminated)
         r["done"].append(terminated | truncated)
         policy.reset(np.flatnonzero(terminated | truncated))
-    return {name: np.array(values) for name, values in r.items() if values}
+    return {name: np.array(values) for name, values in r.items()}
 
 
 def as_published(

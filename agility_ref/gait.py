@@ -15,8 +15,8 @@ import numpy as np
 
 from agility_ref.go1 import FOOT_RADIUS, TORQUE_LIMITS
 from agility_ref.record import Episode
-from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH, Course
-from agility_ref.world import height_map
+from agility_ref.terrain import Course
+from agility_ref.world import World
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,7 @@ def swing_peaks(contact: np.ndarray, clearance: np.ndarray, counted: np.ndarray)
 
 def foot_clearance(foot_pos: np.ndarray, course: Course) -> np.ndarray:
     """Height of the feet's lowest points over the ground under them [m]: (..., 3) centres -> (...)."""
-    i = np.clip((foot_pos[..., 0] / CELL).astype(int), 0, GRID_SHAPE[0] - 1)
-    j = np.clip(((foot_pos[..., 1] + LANE_WIDTH / 2) / CELL).astype(int), 0, GRID_SHAPE[1] - 1)
-    return foot_pos[..., 2] - FOOT_RADIUS - height_map(course)[i, j]
+    return foot_pos[..., 2] - FOOT_RADIUS - World([course]).ground(0, foot_pos)
 
 
 # ---------------------------------------------------------------------------- episodes

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from agility_ref.terrain import NUM_WAYPOINTS
+
 PROGRESS = (
     "steps", "wall_seconds", "steps_per_second", "reward", "episode_length", "waypoint_fraction",
     "edge_violation", "level", "std", "learning_rate", "kl", "clip_fraction", "policy_loss", "value_loss", "entropy",
@@ -73,7 +75,7 @@ class ProgressLog:
         length = max(mean("length"), 1.0)
         figures = record | {
             "wall_seconds": wall_seconds, "reward": mean("reward"), "episode_length": mean("length"),
-            "waypoint_fraction": mean("waypoint_fraction"), "edge_violation": mean("edge") / length, "level": level,
+            "waypoint_fraction": mean("waypoints") / NUM_WAYPOINTS, "edge_violation": mean("edge") / length, "level": level,
         }  # fmt: skip
         self.rows.append({key: f"{figures[key]:.6g}" if key != "steps" else figures[key] for key in PROGRESS})
         self.bar.set_postfix_str(

@@ -168,7 +168,7 @@ def play(policy: Single | Hierarchy, env: Go1Env, environment: str, seed: int) -
             policy=policy.name,
             environment=environment,
             course=env.world.courses[course[i]],
-            dt=c.dt * c.action_repeat,
+            dt=env.config.dt,
             command=float(command[i]),
             fell=bool(fell[i]),
             reached=int(reached[i]),

@@ -58,8 +58,6 @@ class EnvConfig:
 
     turned_start_share: float = 0.0
     """Share of episodes that start facing anywhere instead of along the course; training only, 0 to 0.5."""
-    scattered_start_share: float = 0.0
-    """Share of episodes that start at a waypoint along the course, where a robot can stand; training only, 0 to 1."""
     stall_seconds: float = 0.0
     """Terminate after this time without a waypoint [s]; training only, 0 for never."""
 

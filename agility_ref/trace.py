@@ -4,14 +4,14 @@ In:  a :class:`~agility_ref.selector.Hierarchy` and the robots of an evaluation.
 Out: a :class:`Trace`; arrays are (T, N) for T control steps of N episodes.
 """
 
-from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
 
 from agility_ref.env import Go1Env
+from agility_ref.evaluate import in_first_episode, rollout, waypoint_fraction
 from agility_ref.selector import Hierarchy
-from agility_ref.terrain import NUM_WAYPOINTS, Course
+from agility_ref.terrain import Course
 
 
 @dataclass(frozen=True)
@@ -53,27 +53,22 @@ class Trace:
 
 def play(policy: Hierarchy, env: Go1Env, environment: str, seed: int) -> Trace:
     """Play one complete episode of every robot of ``env`` with the deterministic policy."""
-    observation, _ = env.reset(seed)
-    policy.reset()
     qpos, qvel = env.batch.bind("qpos"), env.batch.bind("qvel")
-    courses = [env.world.courses[k] for k in env.course]
-    running, waypoints = np.ones(env.num_envs, bool), np.zeros(env.num_envs)
-    rows: dict[str, list[np.ndarray]] = defaultdict(list)
-    while running.any():
-        rows["position"].append(qpos[:, :3].copy())
-        rows["velocity"].append(qvel[:, :3].copy())
-        rows["oracle"].append(np.where(running, policy.labels[env.oracle_skill()], -1))
-        action, skill = policy.act(observation, env)
-        rows["skill"].append(np.where(running, skill, -1))
-        observation, _, terminated, truncated, info = env.step(action)
-        waypoints[running] = info["episode"]["waypoints"][running]
-        running &= ~(terminated | truncated)
+
+    def watch() -> dict[str, np.ndarray]:
+        return {"position": qpos[:, :3].copy(), "velocity": qvel[:, :3].copy(), "course": env.course.copy()}
+
+    r = rollout(policy, env, seed, watch=watch)
+    alive = in_first_episode(r["done"])
     return Trace(
         policy=policy.name,
         environment=environment,
         skills=tuple(skill.name for skill in policy.skills),
         dt=env.config.dt,
-        courses=courses,
-        waypoint_fraction=waypoints / NUM_WAYPOINTS,
-        **{name: np.stack(values) for name, values in rows.items()},
+        courses=[env.world.courses[k] for k in r["course"][0]],
+        skill=np.where(alive, r["skill"], -1),
+        oracle=np.where(alive, r["oracle"], -1),
+        position=r["position"],
+        velocity=r["velocity"],
+        waypoint_fraction=waypoint_fraction(r["waypoints"], alive),
     )

@@ -116,20 +116,6 @@ def support_map(course: Course, body_reach: float = 0.45) -> np.ndarray:
     return windows.min(axis=1).astype(np.float32)
 
 
-def standing_heights(course: Course, heights: np.ndarray) -> np.ndarray:
-    """Height of the ground at each waypoint where a robot can stand, NaN elsewhere, shape (8,) [m].
-
-    It can where the ground under its feet, 0.6 m x 0.4 m, varies by less than an edge.
-    """
-    found = np.full(len(course.waypoints), np.nan, np.float32)
-    for k, (x, y) in enumerate(course.waypoints):
-        i, j = round(x / CELL), round((y + LANE_WIDTH / 2) / CELL)
-        under = heights[i - 15 : i + 15, j - 10 : j + 10]
-        if np.ptp(under) < EDGE_MIN_DROP:
-            found[k] = under.max()
-    return found
-
-
 def beam_map(course: Course) -> np.ndarray:
     """Whether x lies over a beam's span, shape (nx,) bool."""
     over = np.zeros(GRID_SHAPE[0], bool)
@@ -149,7 +135,6 @@ class World:
     scan : (C, nx, ny) float32 [m], what scandots see; see :func:`scan_map`
     edges : (C, nx, ny) float32 [m], height of a near edge or +inf
     waypoints : (C, 8, 2) [m]
-    standing : (C, 8) float32 [m], see :func:`standing_heights`
     regions : (C, nx) int8, the oracle's skill
     support : (C, nx) float32 [m], see :func:`support_map`
     over_beam : (C, nx) bool
@@ -163,7 +148,6 @@ class World:
         self.scan = np.stack([scan_map(h) for h in self.heights])
         self.edges = np.stack([edge_map(h, edges) for h in self.heights])
         self.waypoints = np.stack([c.waypoints for c in courses])
-        self.standing = np.stack([standing_heights(c, h) for c, h in zip(courses, self.heights, strict=True)])
         self.regions = np.stack([region_map(c) for c in courses])
         self.support = np.stack([support_map(c) for c in courses])
         self.over_beam = np.stack([beam_map(c) for c in courses])
@@ -189,3 +173,7 @@ class World:
         """Return grid indices of points [m]; outside the lane, those of its border."""
         j = ((y + LANE_WIDTH / 2) * (1 / CELL)).astype(np.int32)
         return self.column(x), np.minimum(np.maximum(j, 0), GRID_SHAPE[1] - 1)
+
+    def ground(self, course: np.ndarray | int, points: np.ndarray) -> np.ndarray:
+        """Height of the ground under points (..., 2 or 3) of the given courses, (...) [m]."""
+        return self.heights[course, *self.cells(points[..., 0], points[..., 1])]

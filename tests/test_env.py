@@ -450,31 +450,6 @@ def test_a_waypoint_restarts_the_stall_clock():
         assert terminated[0] == (k == 17)
 
 
-def test_scattered_starts_stand_at_a_waypoint_and_face_the_next():
-    env = make_env("climb", n=200, config=replace(CLEAN, scattered_start_share=0.5))
-    first = env.waypoint_index
-    at_spawn = first == 0
-    assert 0.4 < at_spawn.mean() < 0.7 and set(first) > {1, 4, 7}
-    robot = np.flatnonzero(~at_spawn)
-    at = env.world.waypoints[env.course[robot], first[robot] - 1]
-    assert (np.abs(env._qpos[robot, :2] - at) <= 0.1).all()
-    tread = env.world.heights[(env.course[robot], *env.world.cells(*at.T))]
-    np.testing.assert_allclose(env._qpos[robot, 2], tread + STAND_HEIGHT + 0.02, atol=1e-6)
-    # Yaw and position are 0.1 rad and 0.1 m off at most, and waypoints at least 0.6 m apart.
-    assert (np.abs(env.heading_error[robot, 0]) < 0.1 + np.arctan2(0.15, 0.5)).all()
-    np.testing.assert_array_equal(env._qpos[at_spawn, 2], STAND_HEIGHT + 0.02)
-
-
-def test_a_scattered_start_is_scored_by_the_waypoints_ahead():
-    env = make_env("walk", n=40, config=replace(CLEAN, scattered_start_share=1.0, episode_seconds=0.3))
-    first = env.waypoint_index.copy()
-    stand(env, np.arange(40), *env.world.waypoints[env.course, first].T)  # at the next waypoint: reached after 5 steps
-    for _ in range(5):
-        *_, info = env.step(still(env))
-    np.testing.assert_array_equal(info["episode"]["waypoints"], first + 1)
-    np.testing.assert_allclose(info["episode"]["waypoint_fraction"], 1 / (8 - first))
-
-
 def test_turned_starts_face_anywhere():
     env = make_env("walk", n=400, config=replace(CLEAN, turned_start_share=0.5))
     yaw = env.yaw

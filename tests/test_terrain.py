@@ -26,7 +26,6 @@ from agility_ref.world import (
     height_map,
     region_map,
     scan_map,
-    standing_heights,
     support_map,
 )
 
@@ -358,12 +357,3 @@ def test_scan_map_is_the_mean_of_a_patch():
     assert scan[14, 8] == pytest.approx(0.07)
     assert scan[14, 9] == scan[14, 1] == 0.0
     np.testing.assert_allclose(scan_map(np.full((20, 12), 0.3, np.float32)), 0.3, rtol=1e-6)
-
-
-def test_a_robot_can_stand_on_treads_but_not_on_a_narrow_beam():
-    climb, beam = make_course("climb", 1.0, 0), make_course("beam", 1.0, 0)
-    heights = standing_heights(climb, height_map(climb))
-    # Platform, then up, up, up, level, down, down, drop by 0.45 m a step
-    np.testing.assert_allclose(heights, 0.45 * np.array([0, 1, 2, 3, 3, 2, 1, 0]), atol=1e-6)
-    on_beams = np.isnan(standing_heights(beam, height_map(beam)))
-    np.testing.assert_array_equal(on_beams, [False] + [True] * 6 + [False])
