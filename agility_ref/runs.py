@@ -267,7 +267,11 @@ def _resume_or_warm_start(
         with open(folder / "progress.csv", newline="") as file:
             return [row for row in csv.DictReader(file) if int(row["steps"]) <= learner.steps]
     if spec.warm_start and config.warm_start:
-        arrays, meta = checkpoint.load(weights_path(spec.warm_start, config))
+        source = weights_path(spec.warm_start, config)
+        arrays, meta = checkpoint.load(source)
+        scale = meta.get("config", {}).get("env", {}).get("action_scale", config.env.action_scale)
+        if scale != config.env.action_scale:
+            raise UserError(f"{source} acts in units of {scale} rad, not {config.env.action_scale}; give another --out")
         learner.warm_start(arrays, meta["steps"], config.warm_std)
     return []
 

@@ -199,6 +199,24 @@ def test_from_scratch_needs_nothing(config, tmp_path):
     assert not (tmp_path / "walk").exists()
 
 
+def test_a_warm_start_of_another_action_scale_is_refused(config, tmp_path, finished_run):
+    finished_run(tmp_path, "walk", steps=BATCH, config={"env": {"action_scale": 0.25}})
+    with pytest.raises(UserError, match=r"acts in units of 0\.25 rad, not 0\.3"):
+        train_policy("climb", config, quiet=True)
+
+
+@pytest.mark.parametrize("name, mirror", [("ps-rl-3-env", False), ("ps-sl-5", False), ("walk", True)])
+def test_a_clock_is_refused_where_nothing_can_use_it(config, name, mirror):
+    env, ppo = replace(config.env, gait_clock=2.0), replace(TINY, mirror=mirror)
+    with pytest.raises(UserError, match=r"env\.gait-clock is for skills"):
+        train_policy(name, replace(config, env=env, ppo=ppo), quiet=True)
+
+
+def test_a_policy_with_a_clock_trains(config):
+    folder = train_policy("walk", replace(config, env=replace(config.env, gait_clock=2.0)), quiet=True)
+    assert checkpoint.load(folder / "policy.npz")[1]["obs_dim"] == OBS_DIM + 2
+
+
 def test_fewer_steps_than_the_warm_start_is_refused(config):
     train_policy("walk", config, quiet=True)
     with pytest.raises(UserError):
