@@ -1,7 +1,7 @@
 """One generalist policy, or a bank of specialists?  A small, readable reproduction.
 
 Start at :mod:`agility_ref.terrain`; every module imports only from those before it:
-errors, terrain, world, go1, rewards, observation, task, curriculum, placement, env,
+errors, terrain, world, go1, rewards, observation, task, curriculum, placement, simulation, env,
 checkpoint, policies, progress, weights, networks, learner, ppo, selector, evaluate, stats, plots, runs,
 cells, table1, table_output, verdicts, evidence, findings, trace, odd_behaviours, diagnosis;
 then the pictures: diagnosis_figures, record, gait, scene, silhouette, pictures, panels, gallery,

@@ -30,8 +30,8 @@ from agility_ref.selector import Hierarchy, Single
 
 # Files whose text decides what happens in an episode and how it is counted.
 SOURCES = (
-    "terrain", "placement", "world", "go1", "rewards", "observation", "task", "env", "checkpoint", "policies", "selector",
-    "evaluate", "runs",
+    "terrain", "placement", "world", "go1", "rewards", "observation", "task", "simulation", "env", "checkpoint",
+    "policies", "selector", "evaluate", "runs",
 )  # fmt: skip
 
 

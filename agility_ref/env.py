@@ -7,23 +7,17 @@ docstring is the manual, and paper sections 3.1 and 4.1.
 
 from collections.abc import Callable
 
-import mujoco
 import numpy as np
-from mujoco import batch
 
-from agility_ref.go1 import DEFAULT_DOF_POS, FOOT_RADIUS, STAND_HEIGHT, make_model
+from agility_ref.go1 import DEFAULT_DOF_POS, FOOT_RADIUS, STAND_HEIGHT
 from agility_ref.observation import NOISE, NUM_SCANDOTS, SCANDOTS, rotation, scandots, wrap
-from agility_ref.placement import Placement
 from agility_ref.rewards import StepState, compute_reward
+from agility_ref.simulation import Simulation
 from agility_ref.task import EnvConfig
 from agility_ref.terrain import LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X
 from agility_ref.world import EDGE_DISTANCE, World
 
 ACTION_DIM = 12
-DIVERGED = [
-    int(w)
-    for w in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
-]
 
 NextCourse = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
 
@@ -106,26 +100,12 @@ class Go1Env:
         self._waypoints = np.concatenate([world.waypoints, last, last], axis=1)  # the last one stays the goal
 
         model_rng = np.random.default_rng([seed, 1])
-        num_boxes = max(len(course.boxes) for course in world.courses)
-        self.models = [
-            make_model(
-                course,
-                config.physics,
-                num_boxes=num_boxes,
-                friction=model_rng.uniform(config.friction_low, config.friction_high),
-                payload=model_rng.uniform(0.0, config.payload_high),
-            )
-            for course in world.courses
+        ground = [
+            (model_rng.uniform(config.friction_low, config.friction_high), model_rng.uniform(0.0, config.payload_high))
+            for _ in world.courses
         ]
-        self.batch = batch.Batch(self.models[0], num_envs, num_threads)
-        self._placement = Placement(self.batch, self.models)
-        self.batch.reset(keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._home, self._start = self.models[0].key_qpos[0].copy(), self.batch.state[0].copy()
-        self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
-        self._ctrl = self.batch.bind("ctrl")
-        self._sensors = self.batch.bind("sensordata")  # (N, 37), see go1.make_xml
-        self._foot_pos = self.batch.bind("site_xpos")  # (N, 4, 3)
-        self._torque = self.batch.bind("actuator_force")  # (N, 12)
+        self.simulation = Simulation(world.courses, num_envs, config.physics, ground, num_threads)
+        self._qpos, self._qvel = self.simulation.qpos, self.simulation.qvel
 
         n = num_envs
         self._everyone = np.arange(n)
@@ -148,7 +128,6 @@ class Go1Env:
         self._clock = 0  # control steps since the environment was made
         self._episode_reward = np.zeros(n)
         self._episode_edge = np.zeros(n)
-        self.simulation_errors = 0
         self.reset(seed)
 
     # ------------------------------------------------------------------ public
@@ -180,9 +159,9 @@ class Go1Env:
         disturbance = self._draw_disturbance()
         self._push(disturbance[:, :2])
         # q_target = q_home + scale * action
-        self._ctrl[:] = DEFAULT_DOF_POS + c.action_scale * action
+        self.simulation.ctrl[:] = DEFAULT_DOF_POS + c.action_scale * action
         last_dof_vel = self._qvel[:, 6:].copy()
-        failed = self._simulate()
+        failed = self.simulation.step(c.physics.substeps * c.action_repeat)
 
         state = self._step_state(action, last_dof_vel)
         reward, terms = compute_reward(state, c.rewards)
@@ -242,21 +221,7 @@ class Go1Env:
         """(N,) skill, an index into SKILLS, that the region map names at each robot's x."""
         return self.world.regions[self.course, self.world.column(self._qpos[:, 0])].astype(int)
 
-    # ------------------------------------------------------------------ simulation
-
-    def _simulate(self) -> np.ndarray:
-        """Run the physics steps; return which robots' simulations failed, (N,) bool."""
-        failed = np.zeros(self.num_envs, bool)
-        try:
-            self.batch.step(nstep=self.config.physics.substeps * self.config.action_repeat)
-        except batch.SimulationError as error:
-            failed[error.ids] = True
-        # MuJoCo resets a simulation that diverges to its default pose and counts a warning.
-        failed |= (self.batch.warning[:, DIVERGED, 1] > 0).any(axis=1)
-        if failed.any():
-            self.batch.warning[failed] = 0
-            self.simulation_errors += int(failed.sum())
-        return failed
+    # ------------------------------------------------------------------ starts and pushes
 
     def _push(self, direction: np.ndarray) -> None:
         """Overwrite the horizontal velocity of the robots whose push is due; direction (N, 2) in +-1."""
@@ -272,9 +237,8 @@ class Go1Env:
     def _reset(self, ids: np.ndarray, waypoint_fraction: np.ndarray | None) -> None:
         n, rng, c = len(ids), self.rng, self.config
         self.course[ids] = self.next_course(ids, waypoint_fraction)
-        self._placement.place(ids, self.course[ids])
-        self.batch.state[ids] = self._start  # the home pose, at rest, no warm start
-        qpos = self._qpos[ids] = self._start_pose(n)
+        qpos = self._start_pose(n)
+        self.simulation.place(ids, self.course[ids], qpos)
         self.command[ids] = rng.uniform(c.command_low, c.command_high, n)
         if self._push_steps:
             self._push_timer[ids] = rng.integers(1, self._push_steps + 1, n)
@@ -296,7 +260,7 @@ class Go1Env:
             turned = rng.random(n) < c.turned_start_share
             yaw[turned] = rng.uniform(-np.pi, np.pi, np.count_nonzero(turned))
         yaw += shift[:, 2]
-        qpos = np.tile(self._home, (n, 1))
+        qpos = np.tile(self.simulation.home, (n, 1))
         qpos[:, 0], qpos[:, 1], qpos[:, 2] = SPAWN_X + shift[:, 0], shift[:, 1], STAND_HEIGHT + 0.02
         qpos[:, 3], qpos[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
         qpos[:, 7:] += shift[:, 3:]
@@ -321,12 +285,12 @@ class Go1Env:
     def _step_state(self, action: np.ndarray, last_dof_vel: np.ndarray) -> StepState:
         self._update_kinematics()
         self._update_goal(slice(None))
-        feet = self._sensors[:, :16].reshape(-1, 4, 4)  # (N, 4, [found, force xyz])
-        foot_vel = self._sensors[:, 25:].reshape(-1, 4, 3)
+        feet = self.simulation.sensors[:, :16].reshape(-1, 4, 4)  # (N, 4, [found, force xyz])
+        foot_vel = self.simulation.sensors[:, 25:].reshape(-1, 4, 3)
         self.foot_contact = feet[:, :, 0] > 0
         self.foot_on_edge = self._near_edge()
         self._goal_distance = np.hypot(self.goal[:, 0], self.goal[:, 1])
-        ground = self.world.ground(self.course[:, None], self._foot_pos)
+        ground = self.world.ground(self.course[:, None], self.simulation.foot_pos)
         return StepState(
             dt=self.config.dt,
             base_lin_vel=self.base_lin_vel,
@@ -340,21 +304,21 @@ class Go1Env:
             dof_pos=self._qpos[:, 7:],
             dof_vel=self._qvel[:, 6:],
             last_dof_vel=last_dof_vel,
-            torque=self._torque,
+            torque=self.simulation.torque,
             action=action,
             last_action=self._last_action,
             foot_force=-feet[:, :, 1:],  # the sensor gives the foot's force on the ground
             foot_contact=self.foot_contact,
             foot_on_edge=self.foot_on_edge,
             foot_speed=np.hypot(foot_vel[:, :, 0], foot_vel[:, :, 1]),
-            foot_clearance=self._foot_pos[:, :, 2] - FOOT_RADIUS - ground,
-            body_contact=self._sensors[:, 16:25] > 0,
+            foot_clearance=self.simulation.foot_pos[:, :, 2] - FOOT_RADIUS - ground,
+            body_contact=self.simulation.sensors[:, 16:25] > 0,
         )
 
     def _near_edge(self) -> np.ndarray:
         """(N, 4) feet in contact within 5 cm of an edge, sideways and in height."""
         robot, foot = np.nonzero(self.foot_contact)
-        x, y, z = self._foot_pos[robot, foot].T
+        x, y, z = self.simulation.foot_pos[robot, foot].T
         i, j = self.world.cells(x, y)
         on_edge = np.zeros_like(self.foot_contact)
         on_edge[robot, foot] = np.abs(z - FOOT_RADIUS - self.world.edges[self.course[robot], i, j]) < EDGE_DISTANCE
@@ -380,7 +344,7 @@ class Go1Env:
         outside = (np.abs(y) > LANE_WIDTH / 2) | (x < 0)
         below = z < self.world.support[self.course, i] + 0.05
         # Beam tops stand at height 0 with the ground 0.2 m lower: 0.1 m separates the two.
-        off_beam = (self._foot_pos[:, :, 2] < FOOT_RADIUS - 0.1).all(axis=1)
+        off_beam = (self.simulation.foot_pos[:, :, 2] < FOOT_RADIUS - 0.1).all(axis=1)
         return tipped | outside | below | (off_beam & self.world.over_beam[self.course, i])
 
     def _look(self, ids: np.ndarray | slice) -> None:

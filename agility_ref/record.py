@@ -135,7 +135,7 @@ def play(policy: Single | Hierarchy, env: Go1Env, environment: str, seed: int) -
     """Play one episode of every robot of ``env``; robot i stays on course i."""
     observation, _ = env.reset(seed)
     policy.reset()
-    views = {name: env.batch.bind(field) for name, field in VIEWS.items()}
+    views = {name: getattr(env.simulation, name) for name in ("qpos", "foot_pos", "torque", "sensors")}
     command, course = env.command.copy(), env.course.copy()
     hierarchy = isinstance(policy, Hierarchy)
     n = env.num_envs
@@ -151,7 +151,7 @@ def play(policy: Single | Hierarchy, env: Go1Env, environment: str, seed: int) -
         if hierarchy:
             row["skill"], row["wanted"] = skill.copy(), policy.labels[env.oracle_skill()]
         c = env.config
-        row["target"] = env.models[0].key_ctrl[0] + c.action_scale * np.clip(
+        row["target"] = env.simulation.models[0].key_ctrl[0] + c.action_scale * np.clip(
             np.float64(action), -c.action_limit, c.action_limit
         )
         observation, _, terminated, truncated, info = env.step(action)
@@ -180,5 +180,4 @@ def play(policy: Single | Hierarchy, env: Go1Env, environment: str, seed: int) -
     ]
 
 
-VIEWS = {"qpos": "qpos", "foot_pos": "site_xpos", "torque": "actuator_force", "sensors": "sensordata"}  # ours: MuJoCo's
 BODY_TOUCH = slice(16, 25)  # of the sensors, see go1.make_xml

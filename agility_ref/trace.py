@@ -53,7 +53,7 @@ class Trace:
 
 def play(policy: Hierarchy, env: Go1Env, environment: str, seed: int) -> Trace:
     """Play one complete episode of every robot of ``env`` with the deterministic policy."""
-    qpos, qvel = env.batch.bind("qpos"), env.batch.bind("qvel")
+    qpos, qvel = env.simulation.qpos, env.simulation.qvel
 
     def watch() -> dict[str, np.ndarray]:
         return {"position": qpos[:, :3].copy(), "velocity": qvel[:, :3].copy(), "course": env.course.copy()}

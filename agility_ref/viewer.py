@@ -60,7 +60,7 @@ class Session:
         self.course = make_course(self.environment, self.difficulty, rng)
         seed = self.config.seed + self.number
         self.env = Go1Env(World([self.course]), 1, env_config, seed=seed, num_threads=1)
-        self._qpos, self._qvel = self.env.batch.bind("qpos"), self.env.batch.bind("qvel")
+        self._qpos, self._qvel = self.env.simulation.qpos, self.env.simulation.qvel
         self.observation, _ = self.env.reset(seed)
         self.policy.reset()
         self.skill: int | None = None  # chosen at the last step

@@ -278,8 +278,8 @@ class Taped:
     def __init__(self, env: Go1Env):
         """Wrap an environment."""
         self.env = env
-        self.bare = batch.Batch(env.models[0], env.num_envs, env.batch.nthread)
-        self._placement, self._course = Placement(self.bare, env.models), np.full(env.num_envs, -1)
+        self.bare = batch.Batch(env.simulation.models[0], env.num_envs, env.simulation.batch.nthread)
+        self._placement, self._course = Placement(self.bare, env.simulation.models), np.full(env.num_envs, -1)
         self.nstep = env.config.physics.substeps * env.config.action_repeat
         self.tape: list[tuple] = []
         self.step_seconds = self.tape_seconds = 0.0
@@ -290,11 +290,11 @@ class Taped:
     def step(self, action: np.ndarray):
         """Step the environment; record outside the time that counts."""
         start = time.perf_counter()
-        before, course = self.env.batch.state.copy(), self.env.course.copy()
+        before, course = self.env.simulation.batch.state.copy(), self.env.course.copy()
         called = time.perf_counter()
         result = self.env.step(action)
         returned = time.perf_counter()
-        self.tape.append((before, course, self.env.batch.ctrl.copy()))
+        self.tape.append((before, course, self.env.simulation.batch.ctrl.copy()))
         self.step_seconds += returned - called
         self.tape_seconds += time.perf_counter() - returned + called - start
         return result

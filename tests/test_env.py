@@ -41,7 +41,7 @@ def rollout(env, actions):
 
 def stand(env, ids, x, y, z=0.0, yaw=0.0):
     """Put robots in the home pose, at rest, on a surface at height z."""
-    env._qpos[ids] = env._home
+    env._qpos[ids] = env.simulation.home
     env._qpos[ids, 0], env._qpos[ids, 1], env._qpos[ids, 2] = x, y, z + STAND_HEIGHT
     env._qpos[ids, 3], env._qpos[ids, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
     env._qvel[ids] = 0.0
@@ -163,7 +163,7 @@ def test_clipped_reward_is_never_negative():
 
 def test_models_of_a_world_have_equal_sizes():
     env = Go1Env(World([make_course(kind, 0.5, 0) for kind in COURSE_KINDS]), 2)
-    assert len({(m.nq, m.nv, m.nu, m.ngeom, m.nbody, m.nsensordata) for m in env.models}) == 1
+    assert len({(m.nq, m.nv, m.nu, m.ngeom, m.nbody, m.nsensordata) for m in env.simulation.models}) == 1
 
 
 def test_control_runs_at_50_hz():
@@ -235,7 +235,7 @@ def test_observation_after_a_teleport():
     obs, *_ = env.step(still(env))
     # waypoint 0 stands straight ahead at (2, 0): the heading error is minus the yaw
     assert obs[0, SLICES["heading_error"]][0] == pytest.approx(-0.3, abs=0.02)
-    np.testing.assert_allclose(obs[0, SLICES["dof_pos"]], env._qpos[0, 7:] - env._home[7:], atol=1e-6)
+    np.testing.assert_allclose(obs[0, SLICES["dof_pos"]], env._qpos[0, 7:] - env.simulation.home[7:], atol=1e-6)
     assert obs[0, SLICES["command"]][0] == np.float32(env.command[0])
 
 
@@ -284,14 +284,14 @@ def test_scandots_against_a_loop_over_boxes(kind):
         stand(env, robot, x, y, z=support + 0.4, yaw=rng.uniform(-3, 3))
     # The robots fall freely for one step; the last observation is of the pose they are in then.
     poses = []
-    simulate = env._simulate
+    simulate = env.simulation.step
 
-    def note_pose():
-        failed = simulate()
+    def note_pose(num_steps):
+        failed = simulate(num_steps)
         poses.append(env._qpos.copy())
         return failed
 
-    env._simulate = note_pose
+    env.simulation.step = note_pose
     *_, info = env.step(still(env))
     observed = info["final_observation"][:, SCANDOTS].reshape(6, len(SCANDOT_X), len(SCANDOT_Y))
     checked = 0
@@ -380,7 +380,7 @@ def test_clean_is_calm():
     assert (CLEAN.noise, CLEAN.push_interval, CLEAN.payload_high) == (0.0, 0.0, 0.0)
     assert CLEAN.friction_low == CLEAN.friction_high == 1.0
     env = make_env("walk")
-    masses = [m.body_mass.sum() for m in env.models]
+    masses = [m.body_mass.sum() for m in env.simulation.models]
     assert masses[0] == masses[1] == pytest.approx(12.743448)
 
 
@@ -618,7 +618,7 @@ def test_two_feet_at_beam_height_are_enough():
     left = [10, 11, 12, 16, 17, 18]
     env._qpos[0, left] = [0.0, 0.45, -0.89] * 2  # ... reaching 0.12 m below its top
     assert not env.step(still(env))[2].any()
-    feet = env._foot_pos[0, :, 2]
+    feet = env.simulation.foot_pos[0, :, 2]
     assert (feet[[1, 3]] < -0.05).all() and (feet[[0, 2]] > 0.0).all()
 
 
@@ -638,10 +638,10 @@ def test_failed_simulations_are_ended_and_counted():
         def __getattr__(self, name):
             return getattr(self.real, name)
 
-    env.batch = Failing(env.batch)
+    env.simulation.batch = Failing(env.simulation.batch)
     obs, _, terminated, _, _ = env.step(still(env))
     np.testing.assert_array_equal(terminated, [False, False, True, False])
-    assert env.simulation_errors == 1
+    assert env.simulation.errors == 1
     assert np.isfinite(obs).all()
 
 
@@ -651,7 +651,7 @@ def test_diverged_simulations_are_ended_and_counted():
     env._qvel[2, 8] = 1e12
     obs, _, terminated, _, _ = env.step(still(env))
     np.testing.assert_array_equal(terminated, [False, False, True, False])
-    assert env.simulation_errors == 1
+    assert env.simulation.errors == 1
     assert np.isfinite(obs).all()
     assert not env.step(still(env))[2].any()
 

@@ -215,12 +215,12 @@ def test_next_course_and_difficulty(session):
 
 
 def test_push_moves_the_trunk(session):
-    before = session.env.batch.bind("qvel")[0, :2].copy()
+    before = session.env.simulation.qvel[0, :2].copy()
     session.push("left")
-    change = session.env.batch.bind("qvel")[0, :2] - before
+    change = session.env.simulation.qvel[0, :2] - before
     assert np.hypot(*change) == pytest.approx(1.0) and change[1] > 0.9  # the robot faces +x, left is +y
     session.push("right")
-    assert np.allclose(session.env.batch.bind("qvel")[0, :2], before)
+    assert np.allclose(session.env.simulation.qvel[0, :2], before)
 
 
 def test_single_policy_has_no_skills(oracle):

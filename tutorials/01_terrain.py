@@ -192,7 +192,7 @@ kind = "gap"
 yaws = np.array([0.5, 0.0, -0.5])  # [rad]
 env = Go1Env(World([courses[kind]]), num_envs=3, config=EnvConfig().clean())
 env.reset(seed=0)
-qpos = env.batch.bind("qpos")  # (3, 19): xyz, quaternion wxyz, 12 joints; a live view
+qpos = env.simulation.qpos  # (3, 19): xyz, quaternion wxyz, 12 joints; a live view
 qpos[:, 0], qpos[:, 1] = 1.93, 0.0
 qpos[:, 3:7] = np.stack([np.cos(yaws / 2), 0 * yaws, 0 * yaws, np.sin(yaws / 2)], axis=1)
 observation, *_ = env.step(np.zeros((3, 12)))

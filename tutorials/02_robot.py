@@ -239,8 +239,8 @@ print(f"sum: {values.sum():+.3f} per second")
 # %%
 env = Go1Env(World([flat]), num_envs=1, config=config)
 env.reset(seed=0)
-sensors = env.batch.bind("sensordata")  # per foot: contact found, then its force xyz [N]
-weight = env.models[0].body_subtreemass[1] * 9.81
+sensors = env.simulation.sensors  # per foot: contact found, then its force xyz [N]
+weight = env.simulation.models[0].body_subtreemass[1] * 9.81
 force, contact = [], []
 for _ in range(round(3.0 / config.dt)):
     env.step(np.zeros((1, ACTION_DIM)))
