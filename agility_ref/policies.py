@@ -50,7 +50,7 @@ class PPOConfig:
     """Last share of the steps in which KL target and lowest step size fall to zero; 0 for never."""
     mirror: bool = False
     """Learn from the mirror images, left for right, of every other robot's steps; skills only."""
-    hidden: tuple[int, ...] = (128, 128)
+    hidden: tuple[int, ...] = (256, 128)
     """Units of the hidden layers of actor and critic."""
 
     @property
