@@ -2,7 +2,7 @@
 
     agility_ref/weights/<policy>-<preset>-seed<k>.npz  and  manifest.json
 
-In:  finished run folders.  Out: files without the optimiser, and a manifest that loading
+In:  finished run folders.  Out: files without what only training needs, and a manifest that loading
 checks them against.  ``python -m agility_ref.weights RUNS...`` adds runs to the package.
 """
 
@@ -15,9 +15,10 @@ import numpy as np
 
 from agility_ref import checkpoint
 from agility_ref.errors import UserError
-from agility_ref.policies import find_policy
+from agility_ref.policies import POLICIES, find_policy
 from agility_ref.progress import read_progress
 
+WARM_STARTS = {spec.warm_start for spec in POLICIES.values()}
 FOLDER = Path(str(resources.files("agility_ref") / "weights"))
 CURVE_POINTS = 60  # points of progress.csv that the manifest keeps ...
 CURVE_COLUMNS = ("steps", "wall_seconds", "reward", "waypoint_fraction", "level")  # ... and what of each
@@ -66,7 +67,9 @@ def ship(run: Path, folder: Path = FOLDER) -> Path:
     if not (run / "DONE").exists():
         raise UserError(f"{run} holds no finished run")
     arrays, meta = checkpoint.load(run / "policy.npz")
-    kept = {name: a for name, a in arrays.items() if not name.startswith(("optimizer.", "curriculum."))}
+    # Critics are half of a file, and only training that starts from a policy asks for one.
+    dropped = ("optimizer.", "curriculum.") + (() if meta["policy"] in WARM_STARTS else ("critic.",))
+    kept = {name: a for name, a in arrays.items() if not name.startswith(dropped)}
     path = folder / file_name(meta["preset"], meta["policy"], meta["seed"])
     checkpoint.save(path, kept, {key: value for key, value in meta.items() if key != "schema"})
     record = {key: meta[key] for key in ("policy", "preset", "seed", "steps", "wall_seconds", "courses", "versions")}

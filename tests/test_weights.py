@@ -36,6 +36,18 @@ def test_shipping_keeps_the_policy_and_drops_the_optimiser(run, tmp_path):
     assert weights.shipped("quick", "walk", 0, tmp_path) is None
 
 
+def test_a_critic_is_shipped_with_what_others_start_from(run, finished_run, tmp_path):
+    assert any(name.startswith("critic.") for name in checkpoint.load(weights.ship(run, tmp_path))[0])
+    leap = finished_run(tmp_path / "runs", "leap", preset="quick", seed=0, wall_seconds=1.0, courses=["gap"], versions={})
+    arrays, meta = checkpoint.load(leap / "policy.npz")
+    checkpoint.save(leap / "policy.npz", arrays, meta | {"seed": 0})
+    assert any(name.startswith("critic.") for name in arrays)
+    (leap / "progress.csv").write_text("steps,reward\n1,1\n")
+    path = weights.ship(leap, tmp_path)
+    assert not any(name.startswith("critic.") for name in checkpoint.load(path)[0])
+    Policy.load(path)
+
+
 def test_the_manifest_keeps_digest_record_and_a_short_curve(run, tmp_path):
     path = weights.ship(run, tmp_path)
     entry = json.loads((tmp_path / "manifest.json").read_text())[path.name]
