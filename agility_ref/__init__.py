@@ -10,7 +10,7 @@ graphics, video, viewer, window; and last cli_diagnose, cli_pictures and cli.
 
 import os
 
-# Read by the numerical libraries when they are loaded.  Networks of 128 units gain nothing from
+# Read by the numerical libraries when they are loaded.  Networks this small gain nothing from
 # more threads, and threads that spin while they wait take the simulation's cores.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -38,7 +38,9 @@ def test_shipping_keeps_the_policy_and_drops_the_optimiser(run, tmp_path):
 
 def test_a_critic_is_shipped_with_what_others_start_from(run, finished_run, tmp_path):
     assert any(name.startswith("critic.") for name in checkpoint.load(weights.ship(run, tmp_path))[0])
-    leap = finished_run(tmp_path / "runs", "leap", preset="quick", seed=0, wall_seconds=1.0, courses=["gap"], versions={})
+    leap = finished_run(
+        tmp_path / "runs", "leap", preset="quick", seed=0, wall_seconds=1.0, courses=["gap"], versions={}
+    )
     arrays, meta = checkpoint.load(leap / "policy.npz")
     checkpoint.save(leap / "policy.npz", arrays, meta | {"seed": 0})
     assert any(name.startswith("critic.") for name in arrays)
