@@ -152,12 +152,15 @@ def feet_drag(s: StepState) -> np.ndarray:
 
 
 def gait_sync(s: StepState) -> np.ndarray:
-    """Diagonal pairs of feet (FR RL, FL RR) of which one stands and one does not, on the level course only.
+    """Diagonal pairs of feet (FR RL, FL RR) out of step, on the level course only.
 
-    Not in the original.  Of all gaits that earn the same it picks the trot.
+    A pair is out of step while one of its feet stands and the other does not, and both pairs
+    are while no foot stands.  Not in the original.  Of all gaits that earn the same it picks
+    the trot, without much flight.
     """
     c = s.foot_contact
-    return ((c[:, 0] != c[:, 3]).astype(np.float64) + (c[:, 1] != c[:, 2])) * s.on_level_course
+    pairs = (c[:, 0] != c[:, 3]).astype(np.float64) + (c[:, 1] != c[:, 2])
+    return np.where(c.any(axis=1), pairs, 2.0) * s.on_level_course
 
 
 def standing(s: StepState) -> np.ndarray:
@@ -219,7 +222,7 @@ class RewardConfig:
     feet_drag: float = -2.0
     """Feet that move close to the ground; original 0."""
     gait_sync: float = -0.3
-    """Diagonal feet out of step on the level course; original 0."""
+    """Diagonal feet out of step, and flight, on the level course; original 0."""
     standing: float = -0.5
     """Not getting on; cancels what standing earns by facing the waypoint; original 0."""
     alive: float = 0.5

@@ -86,6 +86,8 @@ def test_every_weight_has_a_term():
     ("gait_sync", {"foot_contact": np.array([[True, False, False, True]])}, 0.0),
     ("gait_sync", {"foot_contact": np.array([[True, False, True, True]])}, 1.0),
     ("gait_sync", {"foot_contact": np.array([[True, False, True, True]]), "on_level_course": np.array([False])}, 0.0),
+    # in flight neither pair keeps step
+    ("gait_sync", {"foot_contact": np.zeros((1, 4), bool)}, 2.0),
     # off the level course: 1 - 0.06 / (0.3 * 0.8) = 0.75; going back counts as standing, 0.24 m/s as going
     ("standing", {"goal_velocity": np.array([0.06]), "command": np.array([0.8]), "on_level_course": np.array([False])}, 0.75),
     ("standing", {"goal_velocity": np.array([-1.0]), "on_level_course": np.array([False])}, 1.0),
