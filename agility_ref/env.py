@@ -100,11 +100,11 @@ class Go1Env:
         self._waypoints = np.concatenate([world.waypoints, last, last], axis=1)  # the last one stays the goal
 
         model_rng = np.random.default_rng([seed, 1])
-        ground = [
+        conditions = [
             (model_rng.uniform(config.friction_low, config.friction_high), model_rng.uniform(0.0, config.payload_high))
             for _ in world.courses
         ]
-        self.simulation = Simulation(world.courses, num_envs, config.physics, ground, num_threads)
+        self.simulation = Simulation(world.courses, num_envs, config.physics, conditions, num_threads)
         self._qpos, self._qvel = self.simulation.qpos, self.simulation.qvel
 
         n = num_envs

@@ -39,7 +39,7 @@ class Simulation:
         courses: list[Course],
         num_robots: int,
         config: PhysicsConfig,
-        ground: list[tuple[float, float]],
+        conditions: list[tuple[float, float]],
         num_threads: int = 0,
     ):
         """Compile one model a course and start the robots at the origin of the first.
@@ -49,13 +49,13 @@ class Simulation:
         courses : where robots can be put
         num_robots : N
         config : simulator and joint controller
-        ground : friction and payload [kg] of each course
+        conditions : friction of the ground and payload [kg], for each course
         num_threads : 0 for all cores; results do not depend on it
         """
         num_boxes = max(len(course.boxes) for course in courses)
         self.models = [
             make_model(course, config, num_boxes=num_boxes, friction=friction, payload=payload)
-            for course, (friction, payload) in zip(courses, ground, strict=True)
+            for course, (friction, payload) in zip(courses, conditions, strict=True)
         ]
         self.batch = batch.Batch(self.models[0], num_robots, num_threads)
         self._placement = Placement(self.batch, self.models)

@@ -6,13 +6,13 @@ from agility_ref.go1 import DEFAULT_DOF_POS, PhysicsConfig
 from agility_ref.simulation import Simulation
 from agility_ref.terrain import make_course
 
-GROUND = [(1.0, 0.0), (0.6, 2.0)]  # friction, payload [kg]
+CONDITIONS = [(1.0, 0.0), (0.6, 2.0)]  # friction, payload [kg]
 
 
 @pytest.fixture
 def simulation():
     courses = [make_course("walk", 0.5, 0), make_course("gap", 0.5, 1)]
-    return Simulation(courses, 3, PhysicsConfig(), GROUND, num_threads=1)
+    return Simulation(courses, 3, PhysicsConfig(), CONDITIONS, num_threads=1)
 
 
 def start(simulation, ids, course):
