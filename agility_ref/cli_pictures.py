@@ -113,10 +113,14 @@ def plot_curves(argv: list[str]) -> None:
 def _evaluation_point(run: Path, environment: str, episodes: int) -> dict:
     """Evaluate the policy in a run folder; return its steps and its mean metrics."""
     from agility_ref.checkpoint import Policy
+    from agility_ref.env import ACTION_DIM
     from agility_ref.evaluate import METRICS, EvaluationConfig, evaluate
+    from agility_ref.observation import OBS_DIM
     from agility_ref.selector import Single
 
     policy = Policy.load(run / "policy.npz")
+    if policy.meta.get("act_dim") != ACTION_DIM or policy.obs_dim != OBS_DIM:
+        raise UserError(f"{run} cannot be evaluated alone: it is no skill, or trained with a clock")
     config = EvaluationConfig(episodes=episodes, preset=policy.meta.get("preset", "full"))
     result = evaluate(Single(policy.name, policy), environment, config)
     return {"steps": policy.meta["steps"], **{m: float(getattr(result, m).mean()) for m in METRICS}}
@@ -273,8 +277,13 @@ def watch(argv: list[str]) -> None:
 
     @dataclass(frozen=True)
     class Watch(Play):
-        """Play a policy in real time in the browser; it listens on this machine alone."""
+        """Play a policy in real time in the browser; it listens on this machine alone.
 
+        A live view draws courses of its own, of half the preset's difficulty unless another is given.
+        --course and --seconds choose what --html writes.
+        """
+
+        out: tyro.conf.Suppress[str] = ""
         port: int = 8080
         """Port to listen on; the next free one if it is taken."""
         window: bool = False

@@ -5,7 +5,7 @@ the game-like one of Extreme Parkour with the waypoint fraction as the score: up
 after a good episode, two after a completed course, down after a bad one.
 
 In:  the waypoint fraction of the episodes that ended.
-Out: the index of each robot's next course in the :class:`~agility_ref.terrain.World`.
+Out: the index of each robot's next course in the :class:`~agility_ref.world.World`.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """Go1Env: N robots on one World, stepped together by ``mujoco.batch``.
 
-In:  a :class:`~agility_ref.terrain.World` and, each control step, N actions.
+In:  a :class:`~agility_ref.world.World` and, each control step, N actions.
 Out: observation, reward, terminated, truncated, info.  See :class:`Go1Env`, whose
 docstring is the manual, and paper sections 3.1 and 4.1.
 """
@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from agility_ref.go1 import DEFAULT_DOF_POS, FOOT_RADIUS, STAND_HEIGHT
+from agility_ref.go1 import BODY_TOUCH, DEFAULT_DOF_POS, FOOT_RADIUS, FOOT_TOUCH, FOOT_VELOCITY, STAND_HEIGHT
 from agility_ref.observation import NOISE, NUM_SCANDOTS, SCANDOTS, rotation, scandots, wrap
 from agility_ref.rewards import StepState, compute_reward
 from agility_ref.simulation import Simulation
@@ -43,23 +43,29 @@ class Go1Env:
     foot_contact            4  1 where a foot touches the ground
     scandots              132  clip(trunk z - 0.3 - ground height, +-1) [m] at 12 x 11
                                points 0.15 m apart, x -0.45..1.20, y +-0.75, turned
-                               with the yaw, x-major
+                               with the yaw, x-major; means over 0.14 m x 0.14 m,
+                               taken anew every ``scandot_period`` steps
     clock                 0/2  with ``gait_clock`` alone: sine and cosine of its phase
     ===================  ====  ===================================================
 
     **Reward**: :mod:`agility_ref.rewards`; ``info["reward_terms"]`` holds every term.
 
-    **Start**: x = 1 m on the level platform, facing +x, home pose; position, yaw and
-    joints are perturbed a little.  A new command is drawn.
+    **Start**: x = 1 m on the level platform, facing +x (in training, now and then anywhere:
+    ``turned_start_share``), home pose; position, yaw and joints are perturbed a little.  A new
+    command is drawn.
+
+    **Disturbances**: a push every ``push_interval`` seconds; friction and payload of each
+    course, drawn once.
 
     **Terminated**: tipped over (tilt above ``max_tilt``), left the lane, trunk below the
     surface that should carry it, or, over a beam's span, no foot at the beam's height; in
-    training also after ``stall_seconds`` without a waypoint.
+    training also after ``stall_seconds`` without a waypoint; or the simulation failed.
 
     **Truncated**: 20 s, or the last waypoint reached.
 
     **Autoreset**: Gymnasium's SAME_STEP.  ``info["final_observation"]`` (N, 184) holds the
-    true last observation; rows of unfinished robots equal the returned observation.
+    true last observation, its scandots as last taken; rows of unfinished robots equal the
+    returned observation.
     ``info["episode"]`` holds, for every robot, the running ``reward``, ``length``,
     ``waypoints`` and ``edge`` sums *before* the reset; read the rows that are done.
     ``info["feet_on_edge"]`` (N,) counts the feet that violate an edge in this step.
@@ -138,6 +144,7 @@ class Go1Env:
             # Noise and pushes have a stream of their own, drawn for all robots at once: two
             # policies that are evaluated with one seed meet the same starts, noise and pushes.
             self.rng, self._disturbance_rng = (np.random.default_rng([seed, k]) for k in (2, 3))
+            self._clock = 0
         self._reset(self._everyone, None)
         self._look(self._everyone)
         return self._observe(slice(None), self._draw_disturbance()[:, 2:]), {}
@@ -189,7 +196,6 @@ class Go1Env:
             "length": self._step_count.copy(),
             "waypoints": self.waypoint_index.copy(),
             "edge": self._episode_edge.copy(),
-            "course": self.course.copy(),
         }
         noise = disturbance[:, 2:]
         done = np.flatnonzero(terminated | truncated)
@@ -285,8 +291,8 @@ class Go1Env:
     def _step_state(self, action: np.ndarray, last_dof_vel: np.ndarray) -> StepState:
         self._update_kinematics()
         self._update_goal(slice(None))
-        feet = self.simulation.sensors[:, :16].reshape(-1, 4, 4)  # (N, 4, [found, force xyz])
-        foot_vel = self.simulation.sensors[:, 25:].reshape(-1, 4, 3)
+        feet = self.simulation.sensors[:, FOOT_TOUCH].reshape(-1, 4, 4)  # (N, 4, [found, force xyz])
+        foot_vel = self.simulation.sensors[:, FOOT_VELOCITY].reshape(-1, 4, 3)
         self.foot_contact = feet[:, :, 0] > 0
         self.foot_on_edge = self._near_edge()
         self._goal_distance = np.hypot(self.goal[:, 0], self.goal[:, 1])
@@ -312,7 +318,7 @@ class Go1Env:
             foot_on_edge=self.foot_on_edge,
             foot_speed=np.hypot(foot_vel[:, :, 0], foot_vel[:, :, 1]),
             foot_clearance=self.simulation.foot_pos[:, :, 2] - FOOT_RADIUS - ground,
-            body_contact=self.simulation.sensors[:, 16:25] > 0,
+            body_contact=self.simulation.sensors[:, BODY_TOUCH] > 0,
         )
 
     def _near_edge(self) -> np.ndarray:

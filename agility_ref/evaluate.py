@@ -20,10 +20,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from agility_ref.env import EnvConfig, Go1Env
+from agility_ref.env import Go1Env
 from agility_ref.errors import UserError, unknown_name
 from agility_ref.policies import find_preset
 from agility_ref.selector import Hierarchy, Single
+from agility_ref.task import EnvConfig
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, make_course
 from agility_ref.world import World
 

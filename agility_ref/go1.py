@@ -139,6 +139,12 @@ def _terrain(course: Course, num_boxes: int, friction: float) -> str:
     return "\n".join(geoms + [padding] * (num_boxes - len(course.boxes)))
 
 
+# Where the blocks of an mjData's sensordata stand, see make_xml.
+FOOT_TOUCH = slice(0, 16)  # 4 x (found, force xyz on the ground in the world [N])
+BODY_TOUCH = slice(16, 25)  # 9 x found: trunk, thighs and calves
+FOOT_VELOCITY = slice(25, 37)  # 4 x velocity xyz in the world [m/s]
+
+
 def make_xml(
     course: Course,
     physics: PhysicsConfig = PhysicsConfig(),
@@ -162,8 +168,7 @@ def make_xml(
         for joint in JOINTS
         for part in [joint.split("_")[1]]
     )
-    # Sensor blocks, in this order: 4 x (found, force xyz in the world) of the feet,
-    # then 9 x found of trunk, thighs and calves, then 4 x velocity of the feet in the world.
+    # In the order of FOOT_TOUCH, BODY_TOUCH and FOOT_VELOCITY.
     feet = "\n".join(
         f'<contact name="{leg}_foot" geom1="{leg}_foot" data="found force" reduce="netforce"/>' for leg in LEGS
     )

@@ -1,7 +1,7 @@
 """Which OpenGL renders without a display; asked before mujoco is imported.
 
 MuJoCo reads the environment variable MUJOCO_GL once, when it is imported.  So this module
-imports nothing, and the command line asks it first.
+imports nothing of the kind, and the command line asks it first.
 """
 
 import ctypes

@@ -19,7 +19,7 @@ LOG_2PI = float(np.log(2 * np.pi))
 class Normalizer:
     """Running mean and variance per observation entry; part of every checkpoint.
 
-    Entries in ``fixed`` keep the mean and standard deviation they are given.  Scandots
+    Entries in ``fixed`` keep mean 0 and the standard deviation they are given.  Scandots
     must: on flat ground their variance is next to nothing, and the first pit would then
     saturate the input.
     """

@@ -108,6 +108,7 @@ def scandots(world: World, course: np.ndarray, pos: np.ndarray, yaw: np.ndarray)
 
     Parameters
     ----------
+    world : the courses' maps
     course : (n,) index of each robot's course
     pos : (n, 3) position of the trunk [m]
     yaw : (n,) heading [rad]

@@ -15,7 +15,7 @@ from agility_ref.progress import read_progress
 from agility_ref.stats import bootstrap_interval, iqm
 
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"  # Okabe and Ito
-SKY, YELLOW, GREY = "#56B4E9", "#F0E442", "#8A8A8A"
+SKY, GREY = "#56B4E9", "#8A8A8A"
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED, "#000000")
 SKILL_COLOURS = {  # Tol's "muted" scheme, so that no skill looks like a leg or a violation
     "walk": "#BDBDBD", "climb-up": "#44AA99", "climb-down": "#882255",

@@ -77,7 +77,7 @@ class PolicySpec:
 
     name: str
     label: str
-    """As the paper prints it."""
+    """As the paper prints it, where it does."""
     method: str
     """ppo, oracle, supervised (selector) or ppo-selector."""
     courses: tuple[str, ...] = ()

@@ -107,7 +107,7 @@ class Rollout:
     raw_obs: np.ndarray
     """(T, N, obs_dim) before normalisation, for the normaliser."""
     episodes: list[dict]
-    """One entry per episode that ended: reward, length, waypoints, edge, course."""
+    """One entry per episode that ended: reward, length, waypoints, edge."""
 
 
 @dataclass
@@ -251,7 +251,6 @@ def train(env, learner: Learner, total_steps: int, stop: Callable[[], bool] = la
     while learner.steps < total_steps and not stop():
         start = time.perf_counter()
         rollout, obs = collect(env, learner, obs)
-        collected = time.perf_counter()
         max_std, learner.anneal = schedule(
             (learner.steps - learner.start) / (total_steps - learner.start), learner.config
         )
@@ -262,8 +261,6 @@ def train(env, learner: Learner, total_steps: int, stop: Callable[[], bool] = la
         yield {
             "steps": learner.steps,
             "steps_per_second": learner.config.batch_size / seconds,
-            "collect_seconds": collected - start,
-            "update_seconds": seconds - (collected - start),
             "learning_rate": learner.learning_rate,
             "std": float(learner.net.log_std.detach().exp().mean()),
             "episodes": rollout.episodes,

@@ -12,10 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agility_ref.env import EnvConfig, Go1Env
+from agility_ref.env import Go1Env
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluation_world
+from agility_ref.go1 import BODY_TOUCH
 from agility_ref.selector import Hierarchy, Single
+from agility_ref.task import EnvConfig
 from agility_ref.terrain import NUM_WAYPOINTS, Course
 from agility_ref.world import World
 
@@ -178,6 +180,3 @@ def play(policy: Single | Hierarchy, env: Go1Env, environment: str, seed: int) -
         )
         for i in range(n)
     ]
-
-
-BODY_TOUCH = slice(16, 25)  # of the sensors, see go1.make_xml

@@ -5,7 +5,7 @@ original paper" (section 3.2.2): github.com/chengxuxin/extreme-parkour,
 ``legged_gym/envs/base/legged_robot.py``.  In: a :class:`StepState`, the robots' state
 after one control step.  Out: each term as an array over robots; the reward is
 
-    reward = dt * sum_k weight_k * term_k          (equation 1)
+    reward = dt * sum_k weight_k * term_k
 
 What is simplified: nothing depends on simulator internals beyond contact forces, and
 torque *changes* (weight -1e-7 there, four orders below the next term) are left out.
@@ -230,6 +230,6 @@ class RewardConfig:
 
 
 def compute_reward(state: StepState, weights: RewardConfig) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return the reward (N,) and its weighted terms, which sum to it exactly (equation 1)."""
+    """Return the reward (N,) and its weighted terms, which sum to it exactly."""
     terms = {name: weight * state.dt * TERMS[name](state) for name, weight in vars(weights).items()}
     return sum(terms.values()), terms

@@ -22,7 +22,7 @@ import numpy as np
 from agility_ref import checkpoint, weights
 from agility_ref.checkpoint import Policy
 from agility_ref.curriculum import Curriculum, CurriculumConfig, training_world
-from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
+from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.errors import UserError
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.policies import PolicySpec, PPOConfig, find_policy, find_preset, requirements
@@ -38,7 +38,7 @@ from agility_ref.selector import (
     oracle_hierarchy,
     selector_hierarchy,
 )
-from agility_ref.task import TRAINING
+from agility_ref.task import TRAINING, EnvConfig
 
 if TYPE_CHECKING:
     from agility_ref.learner import Learner
@@ -84,20 +84,28 @@ def run_folder(root: Path, policy: str, seed: int) -> Path:
     return Path(root) / find_policy(policy).name / f"seed{seed}"
 
 
-def weights_path(policy: str, config: TrainConfig) -> Path:
-    """Find the weights of a policy: own runs first, then those shipped.
+def find_weights(policy: str, config: TrainConfig) -> Path | None:
+    """Find the weights of a policy: own runs first, then those shipped; None where neither exists.
 
     Raises
     ------
-    UserError : unknown policy or preset, or neither exists; names the command that trains it
+    UserError : unknown policy or preset, or shipped weights that are damaged
     """
     find_preset(config.preset)
     own = run_folder(config.root, policy, config.seed)
-    if (own / "DONE").exists():
-        return own / "policy.npz"
-    shipped = weights.shipped(config.preset, policy, config.seed)
-    if shipped:
-        return shipped
+    return own / "policy.npz" if (own / "DONE").exists() else weights.shipped(config.preset, policy, config.seed)
+
+
+def weights_path(policy: str, config: TrainConfig) -> Path:
+    """Find the weights of a policy as :func:`find_weights` does.
+
+    Raises
+    ------
+    UserError : as there, or there are none; names the command that trains them
+    """
+    found = find_weights(policy, config)
+    if found:
+        return found
     raise UserError(
         f"no weights for {policy}, preset {config.preset}, seed {config.seed}; "
         f"train them with: agility-ref train {policy} --preset {config.preset} --seed {config.seed}"
@@ -110,20 +118,39 @@ def load_policy(policy: str, config: TrainConfig) -> Single | Hierarchy:
     skills = load_skills(spec, config)
     if spec.method == "oracle":
         return oracle_hierarchy(policy, skills)
-    own = Policy.load(weights_path(policy, config))
     if spec.method == "ppo":
-        _check_shape(own, OBS_DIM, ACTION_DIM)
-        return Single(policy, own)
+        return Single(policy, _load_skill(policy, config))
+    own = Policy.load(weights_path(policy, config))
     _check_shape(own, own.obs_dim if own.obs_dim in (OBS_DIM, NUM_SCANDOTS) else OBS_DIM, len(skills))
     return selector_hierarchy(policy, skills, own)
 
 
+def check_interface(source: Path, meta: dict, env: EnvConfig) -> None:
+    """Refuse a policy whose actions mean something else in ``env``.
+
+    Raises
+    ------
+    UserError : names the file and the field that differs
+    """
+    trained = meta.get("config", {}).get("env", {})
+    for field in ("action_scale", "action_limit", "action_repeat"):
+        theirs, ours = trained.get(field, getattr(env, field)), getattr(env, field)
+        if theirs != ours:
+            raise UserError(f"{source} was trained with env.{field.replace('_', '-')} {theirs}, this task has {ours}")
+
+
 def load_skills(spec: PolicySpec, config: TrainConfig) -> dict[str, Policy]:
     """Load the frozen specialists of a hierarchy, in the order of its outputs."""
-    skills = {name: Policy.load(weights_path(name, config)) for name in spec.skills}
-    for policy in skills.values():
-        _check_shape(policy, OBS_DIM, ACTION_DIM)
-    return skills
+    return {name: _load_skill(name, config) for name in spec.skills}
+
+
+def _load_skill(name: str, config: TrainConfig) -> Policy:
+    """Load a policy that moves the joints, as the task wants them moved."""
+    path = weights_path(name, config)
+    policy = Policy.load(path)
+    _check_shape(policy, OBS_DIM, ACTION_DIM)
+    check_interface(path, policy.meta, config.env)
+    return policy
 
 
 def _check_shape(policy: Policy, obs_dim: int, act_dim: int) -> None:
@@ -145,6 +172,14 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
     find_preset(config.preset)
     for what, given, least in (
         ("steps", config.steps, 0),
+        ("ppo.num-envs", config.ppo.num_envs, 1),
+        ("ppo.num-steps", config.ppo.num_steps, 1),
+        ("ppo.update-epochs", config.ppo.update_epochs, 1),
+        ("ppo.num-minibatches", config.ppo.num_minibatches, 1),
+        ("env.action-repeat", config.env.action_repeat, 1),
+        ("env.scandot-period", config.env.scandot_period, 1),
+        ("curriculum.num-levels", config.curriculum.num_levels, 1),
+        ("curriculum.variants", config.curriculum.variants, 1),
         ("selector.decision-steps", config.selector.decision_steps, 1),
         ("selector.switch-cost", config.selector.switch_cost, 0),
         ("supervised.dagger-rounds", config.supervised.dagger_rounds, 0),
@@ -164,9 +199,7 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
         shutil.rmtree(folder)
     needs = requirements(name) if config.warm_start else spec.skills
     for other in needs:
-        try:
-            weights_path(other, config)
-        except UserError:
+        if find_weights(other, config) is None:
             train_policy(other, replace(config, steps=0, overwrite=False), quiet)
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "config.json", json.dumps({"policy": spec.name, **asdict(config)}, indent=1))
@@ -215,7 +248,8 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     last_save, start = time.monotonic(), time.monotonic() - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
 
     def save() -> None:
-        arrays = learner.arrays() | learner.training_arrays() | {"curriculum.level": curriculum.level}
+        arrays = learner.arrays() | learner.training_arrays()
+        arrays |= {f"curriculum.{name}": value for name, value in curriculum.state().items()}
         meta = {
             "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": learner.steps,
             "start": learner.start, "courses": spec.courses, "act_dim": act_dim, "obs_dim": config.env.obs_dim,
@@ -264,14 +298,20 @@ def _resume_or_warm_start(
         if len(level) != len(curriculum.level):
             raise UserError(f"{folder} was trained with {len(level)} robots, not {len(curriculum.level)}")
         curriculum.load_state({"level": level})
+        if not (folder / "progress.csv").exists():  # stopped before the first iteration
+            return []
         with open(folder / "progress.csv", newline="") as file:
             return [row for row in csv.DictReader(file) if int(row["steps"]) <= learner.steps]
     if spec.warm_start and config.warm_start:
         source = weights_path(spec.warm_start, config)
         arrays, meta = checkpoint.load(source)
-        scale = meta.get("config", {}).get("env", {}).get("action_scale", config.env.action_scale)
-        if scale != config.env.action_scale:
-            raise UserError(f"{source} acts in units of {scale} rad, not {config.env.action_scale}; give another --out")
+        check_interface(source, meta, config.env)
+        hidden = tuple(meta.get("config", {}).get("ppo", {}).get("hidden", config.ppo.hidden))
+        if hidden != tuple(config.ppo.hidden):
+            raise UserError(
+                f"{source} has hidden layers of {hidden} units, not {config.ppo.hidden}; "
+                f"train {spec.warm_start} with the same flags and --out first"
+            )
         learner.warm_start(arrays, meta["steps"], config.warm_std)
     return []
 

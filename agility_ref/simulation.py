@@ -42,7 +42,7 @@ class Simulation:
         conditions: list[tuple[float, float]],
         num_threads: int = 0,
     ):
-        """Compile one model a course and start the robots at the origin of the first.
+        """Compile one model a course and start the robots on the first, in the home pose.
 
         Parameters
         ----------

@@ -62,7 +62,15 @@ def open_renderer(model: mujoco.MjModel, config: VideoConfig) -> mujoco.Renderer
 
 
 def frames(episode: Episode, config: VideoConfig = VideoConfig()) -> Iterator[np.ndarray]:
-    """Render the episode; yield images (height, width, 3) uint8."""
+    """Render the episode; yield images (height, width, 3) uint8.
+
+    Raises
+    ------
+    UserError : a rate, speed or length that leaves nothing to film
+    """
+    for what in ("fps", "speed", "seconds"):
+        if not getattr(config, what) > 0:
+            raise UserError(f"{what} must be above 0, got {getattr(config, what)}")
     model = make_scene(episode.course)
     data = mujoco.MjData(model)
     camera = mujoco.MjvCamera()

@@ -18,7 +18,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from agility_ref.env import EnvConfig, Go1Env
+from agility_ref.env import Go1Env
 from agility_ref.errors import UserError, unknown_name
 from agility_ref.evaluate import EvaluationConfig
 from agility_ref.plots import GREY, SKILL_COLOURS
@@ -26,6 +26,7 @@ from agility_ref.policies import find_preset
 from agility_ref.record import Episode
 from agility_ref.scene import BOX, CAPSULE, CYLINDER, ELLIPSOID, LOOK_GROUP, SPHERE, WAYPOINT_COLOURS, make_scene
 from agility_ref.selector import Hierarchy, Single
+from agility_ref.task import EnvConfig
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, make_course
 from agility_ref.world import World
 

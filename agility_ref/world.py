@@ -36,7 +36,7 @@ def height_map(course: Course) -> np.ndarray:
 
 
 def edge_map(heights: np.ndarray, axes: str = "xy") -> np.ndarray:
-    """Height of the nearest edge where one is within EDGE_DISTANCE, +inf elsewhere.
+    """Height of the lowest edge where one is within EDGE_DISTANCE, +inf elsewhere.
 
     An edge is a border between two cells whose heights differ by more than
     EDGE_MIN_DROP; it stands at the height of the upper one.

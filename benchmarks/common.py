@@ -19,7 +19,8 @@ from importlib import metadata
 from multiprocessing import get_context
 from types import ModuleType
 
-from agility_ref.env import EnvConfig, Go1Env  # first: it sets OMP_WAIT_POLICY
+from agility_ref.env import Go1Env  # first: it sets OMP_WAIT_POLICY
+from agility_ref.task import EnvConfig
 
 # isort: split
 import mujoco

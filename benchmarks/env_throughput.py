@@ -10,7 +10,6 @@ same robots at the same places of every terrain.
 from dataclasses import asdict, dataclass
 
 import numpy as np
-import tyro
 from common import (
     Taped,
     Trotters,
@@ -23,12 +22,14 @@ from common import (
     ratio,
     report,
     show,
+    start,
     trot,
 )
 
 from agility_ref.checkpoint import Policy
-from agility_ref.env import EnvConfig, Go1Env
+from agility_ref.env import Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS
+from agility_ref.task import EnvConfig
 from agility_ref.world import World
 
 
@@ -135,4 +136,4 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    start(main, Config)

@@ -9,8 +9,7 @@ import sys
 import tempfile
 from dataclasses import asdict, dataclass
 
-import tyro
-from common import alternate, machine, peak_memory, report
+from common import alternate, machine, peak_memory, report, start
 
 COMMANDS = {
     "python -c pass": ["-c", "pass"],
@@ -54,4 +53,4 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    start(main, Config)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agility_ref.checkpoint import Policy
-from agility_ref.env import ACTION_DIM, EnvConfig
+from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluate
 from agility_ref.learner import Learner
@@ -27,6 +27,7 @@ from agility_ref.policies import find_policy, requirements
 from agility_ref.ppo import train
 from agility_ref.runs import TrainConfig, make_env
 from agility_ref.selector import Single
+from agility_ref.task import EnvConfig
 
 CURVE_COLUMNS = ("steps", "seconds", "waypoint_fraction", "falls", "level")
 Judge = Callable[[Policy], dict[str, float]]

@@ -12,8 +12,7 @@ from dataclasses import asdict, dataclass
 from unittest.mock import patch
 
 import numpy as np
-import tyro
-from common import machine, report
+from common import machine, report, start
 
 from agility_ref import trace, world
 from agility_ref.curriculum import CurriculumConfig, training_world
@@ -119,4 +118,4 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    start(main, Config)

@@ -16,7 +16,6 @@ from dataclasses import asdict, dataclass, fields, replace
 
 import mujoco
 import numpy as np
-import tyro
 from common import (
     Trotters,
     alternate,
@@ -27,16 +26,17 @@ from common import (
     ratio,
     report,
     show,
+    start,
     substitute,
 )
 
 from agility_ref.checkpoint import Policy
-from agility_ref.env import EnvConfig
 from agility_ref.evaluate import EvaluationConfig, evaluate
 from agility_ref.go1 import PhysicsConfig, make_xml
 from agility_ref.observation import OBS_DIM
 from agility_ref.selector import Single
 from agility_ref.stats import bootstrap_interval, paired_difference, wilson_interval
+from agility_ref.task import EnvConfig
 from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH, Course
 from agility_ref.world import height_map
 
@@ -262,4 +262,4 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    start(main, Config)

@@ -22,8 +22,8 @@ class Config:
     """Waypoint fraction of the deterministic policy at which the clock stops."""
     every: int = 100_000
     """Environment steps between evaluations."""
-    steps: int = 2_000_000
-    """Environment steps after which a seed gives up."""
+    steps: int = 0
+    """Environment steps after which a seed gives up; 0 for the policy's budget."""
     episodes: int = 64
     """Complete episodes of an evaluation."""
     json: bool = False

@@ -11,8 +11,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
-import tyro
-from common import Taped, alternate, available_cores, machine, ratio, report, show, walk_training
+from common import Taped, alternate, available_cores, machine, ratio, report, show, start, walk_training
 
 from agility_ref.checkpoint import Policy
 from agility_ref.env import ACTION_DIM, Go1Env
@@ -102,7 +101,7 @@ def variants(only_default: bool) -> list[Variant]:
     if only_default:
         return [default]
     cores, changes = available_cores(), {}
-    for hidden in ((64, 64), (256, 128), (512, 256, 128)):
+    for hidden in ((64, 64), (128, 128), (512, 256, 128)):
         changes[f"hidden {hidden}"] = {"hidden": hidden}
     for steps, minibatches, epochs in ((16, 2, 4), (16, 8, 4), (16, 4, 2), (16, 4, 5), (24, 4, 5), (32, 4, 4)):
         name = f"{steps} steps, {minibatches} minibatches, {epochs} epochs"
@@ -187,4 +186,4 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    start(main, Config)

@@ -12,7 +12,6 @@ import time
 from dataclasses import asdict, dataclass
 
 import numpy as np
-import tyro
 from common import (
     alternate,
     flat_course,
@@ -24,11 +23,13 @@ from common import (
     report,
     require,
     show,
+    start,
     trot,
 )
 
-from agility_ref.env import EnvConfig, Go1Env
+from agility_ref.env import Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS, PhysicsConfig
+from agility_ref.task import EnvConfig
 from agility_ref.world import World
 
 TASKS = {"flat": "Go1JoystickFlatTerrain-v1", "rough": "Go1JoystickRoughTerrain-v1"}
@@ -108,4 +109,4 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    start(main, Config)

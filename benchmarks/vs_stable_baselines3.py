@@ -13,11 +13,11 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from itertools import islice
 
 import numpy as np
 import torch
-import tyro
-from common import available_cores, machine, report, require, walk_training
+from common import available_cores, machine, report, require, start, walk_training
 
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.learner import Learner
@@ -79,11 +79,10 @@ def our_turns(race: Race, config: Config) -> Callable[[], None]:
     ppo = PPOConfig()
     env, _ = walk_training(config.seed, ppo.num_envs)
     learner = Learner.create(OBS_DIM, ACTION_DIM, ppo, config.seed, fixed=SCANDOTS)
-    iterations = train(env, learner, 10**12)
+    iterations = train(env, learner, config.steps)
 
     def turn() -> None:
-        for _ in range(config.turn):
-            record = next(iterations)
+        for record in islice(iterations, config.turn):
             race.steps = record["steps"]
             race.episodes.extend(episode["waypoints"] / NUM_WAYPOINTS for episode in record["episodes"])
 
@@ -208,4 +207,4 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    start(main, Config)

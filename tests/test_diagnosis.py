@@ -17,8 +17,8 @@ from agility_ref.diagnosis import (
     regret,
     wrong_share,
 )
-from agility_ref.env import EnvConfig
 from agility_ref.observation import NUM_SCANDOTS
+from agility_ref.task import EnvConfig
 from agility_ref.terrain import SKILLS, Course, Obstacle, make_course
 from agility_ref.trace import Trace
 

@@ -1,3 +1,4 @@
+import ast
 import re
 from pathlib import Path
 
@@ -20,3 +21,18 @@ def test_files_that_the_pages_link_to_exist(page):
     path = ROOT / page
     for target in re.findall(r"\]\(([^)#:]+)\)", path.read_text()):
         assert (path.parent / target).exists(), f"{page} links to {target}"
+
+
+def test_files_of_the_reading_order_import_only_from_above():
+    order = re.findall(
+        r"`(\w+)\.py`", " ".join(re.findall(r"^\| (`\w+\.py`.*?) \|", (ROOT / "README.md").read_text(), re.M))
+    )
+    package = {p.stem for p in (ROOT / "agility_ref").glob("*.py")} - {"__init__", "__main__"}
+    assert set(order) == package and len(order) == len(package)
+    for position, name in enumerate(order):
+        tree = ast.parse((ROOT / "agility_ref" / f"{name}.py").read_text())
+        for node in tree.body:  # imports inside functions wait until they are needed
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("agility_ref"):
+                module = node.module.removeprefix("agility_ref").removeprefix(".")
+                for used in [module] if module else [alias.name for alias in node.names]:
+                    assert used in order[:position], f"{name} imports {used}"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mujoco import batch
 
-from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
+from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.go1 import STAND_HEIGHT
 from agility_ref.observation import (
     NUM_SCANDOTS,
@@ -17,7 +17,7 @@ from agility_ref.observation import (
     rotation,
     wrap,
 )
-from agility_ref.task import TRAINING
+from agility_ref.task import TRAINING, EnvConfig
 from agility_ref.terrain import CELL, COURSE_KINDS, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, make_course
 from agility_ref.world import World
 
@@ -129,7 +129,7 @@ def test_same_seed_same_trajectory_at_any_thread_count(kind):
 
 
 def test_reset_with_a_seed_starts_over():
-    env, actions = make_env(config=EnvConfig()), random_actions(10, 4)
+    env, actions = make_env(config=EnvConfig()), random_actions(11, 4)  # an odd number: half the robots have looked
     first_a, _ = env.reset(9)
     a = rollout(env, actions)
     first_b, _ = env.reset(9)
@@ -639,10 +639,29 @@ def test_failed_simulations_are_ended_and_counted():
             return getattr(self.real, name)
 
     env.simulation.batch = Failing(env.simulation.batch)
-    obs, _, terminated, _, _ = env.step(still(env))
+    obs, reward, terminated, _, info = env.step(still(env))
     np.testing.assert_array_equal(terminated, [False, False, True, False])
     assert env.simulation.errors == 1
     assert np.isfinite(obs).all()
+    assert reward[2] == 0.0 and all(term[2] == 0.0 for term in info["reward_terms"].values())
+    assert reward[[0, 1, 3]].all()
+
+
+def test_actions_are_offsets_from_the_home_pose():
+    # q_target = home + 0.3 * action: 0.9 + 0.3 * 0.5 = 1.05 for the thigh of FR
+    env, action = make_env(), np.zeros((4, ACTION_DIM))
+    action[:, 1] = 0.5
+    env.step(action)
+    np.testing.assert_allclose(env.simulation.ctrl[:, :3], [[0.0, 1.05, -1.8]] * 4)
+
+
+@pytest.mark.parametrize("kind, alive, idle", [("walk", True, False), ("gap", False, True)])
+def test_rewards_know_the_level_course(kind, alive, idle):
+    env = make_env(kind)
+    for _ in range(50):  # landed, and standing
+        *_, info = env.step(still(env))
+    assert (info["reward_terms"]["alive"] > 0).all() == alive
+    assert (info["reward_terms"]["standing"] < 0).all() == idle
 
 
 def test_diverged_simulations_are_ended_and_counted():

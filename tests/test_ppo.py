@@ -463,10 +463,13 @@ def test_mirrored_samples_keep_their_probabilities():
         actions = Gaussian.sample(parameters, gen)
     before = Gaussian.log_prob(parameters, actions)
     zeros, flags = np.zeros((3, 4), np.float32), np.zeros((3, 4), bool)
-    rollout = Rollout(obs, actions.clone(), parameters, zeros, zeros, zeros, flags, flags, raw, [])
+    rollout = Rollout(obs.clone(), actions.clone(), parameters, zeros, zeros, zeros, flags, flags, raw, [])
     mirror_alternate(learner, rollout)
     torch.testing.assert_close(Gaussian.log_prob(rollout.parameters, rollout.actions), before)
-    assert torch.equal(rollout.actions[:, ::2], actions[:, ::2])
+    assert torch.equal(rollout.actions[:, ::2], actions[:, ::2]) and torch.equal(rollout.obs[:, ::2], obs[:, ::2])
+    # The heading error (entries 9 and 10) changes sign, the command (11) does not.
+    assert torch.equal(rollout.obs[:, 1::2, 9:11], -obs[:, 1::2, 9:11])
+    assert torch.equal(rollout.obs[:, 1::2, 11], obs[:, 1::2, 11])
     # The left front thigh (entry 4) does what the right one (entry 1) did, the hip (0, 3) the opposite.
     assert torch.equal(rollout.actions[:, 1::2, 4], actions[:, 1::2, 1])
     assert torch.equal(rollout.actions[:, 1::2, 3], -actions[:, 1::2, 0])

@@ -161,14 +161,10 @@ def test_resuming_with_another_network_is_refused(config):
 
 
 def test_resuming_with_another_number_of_robots(config):
-    # Going on with it and refusing are both fine; a traceback is not.
     folder = train_policy("walk", config, quiet=True)
     (folder / "DONE").unlink()
-    try:
+    with pytest.raises(UserError, match="was trained with 4 robots, not 6"):
         train_policy("walk", replace(config, steps=5 * BATCH, ppo=replace(TINY, num_envs=6)), quiet=True)
-    except UserError:
-        return
-    assert (folder / "DONE").exists()
 
 
 # --- warm starts and needs -------------------------------------------------------------
@@ -199,9 +195,32 @@ def test_from_scratch_needs_nothing(config, tmp_path):
     assert not (tmp_path / "walk").exists()
 
 
-def test_a_warm_start_of_another_action_scale_is_refused(config, tmp_path, finished_run):
-    finished_run(tmp_path, "walk", steps=BATCH, config={"env": {"action_scale": 0.25}})
-    with pytest.raises(UserError, match=r"acts in units of 0\.25 rad, not 0\.3"):
+@pytest.mark.parametrize("field, value, message", [
+    ("action_scale", 0.25, r"trained with env\.action-scale 0\.25, this task has 0\.3"),
+    ("action_repeat", 2, r"trained with env\.action-repeat 2, this task has 1"),
+])  # fmt: skip
+def test_policies_of_another_action_are_refused(config, tmp_path, finished_run, field, value, message):
+    finished_run(tmp_path, "walk", steps=BATCH, config={"env": {field: value}})
+    with pytest.raises(UserError, match=message):
+        train_policy("climb", config, quiet=True)
+    with pytest.raises(UserError, match=message):
+        load_policy("walk", config)
+
+
+def test_a_warm_start_of_another_network_is_refused(config, tmp_path, finished_run):
+    finished_run(tmp_path, "walk", steps=BATCH, config={"ppo": {"hidden": [128, 128]}})
+    with pytest.raises(
+        UserError, match=r"hidden layers of \(128, 128\) units, not \(8,\); train walk with the same flags"
+    ):
+        train_policy("climb", config, quiet=True)
+
+
+def test_damaged_shipped_weights_are_not_trained_anew(config, monkeypatch):
+    def shipped(*key):
+        raise UserError("shipped weights differ from their manifest")
+
+    monkeypatch.setattr(runs.weights, "shipped", shipped)
+    with pytest.raises(UserError, match="differ from their manifest"):
         train_policy("climb", config, quiet=True)
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from agility_ref.checkpoint import Policy
-from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
+from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.selector import (
     Hierarchy,
@@ -16,6 +16,7 @@ from agility_ref.selector import (
     selector_hierarchy,
     skill_labels,
 )
+from agility_ref.task import EnvConfig
 from agility_ref.terrain import SKILLS, make_course
 from agility_ref.world import World
 

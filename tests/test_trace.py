@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from agility_ref.env import EnvConfig
 from agility_ref.evaluate import EvaluationConfig, evaluate, evaluation_env
 from agility_ref.selector import Hierarchy, oracle_hierarchy
+from agility_ref.task import EnvConfig
 from agility_ref.terrain import SKILLS, make_course
 from agility_ref.trace import Trace, play
 

@@ -16,6 +16,6 @@ TRAINING = ("03_",)
 def test_tutorial_runs_as_a_script(script, tmp_path):
     done = subprocess.run(
         [sys.executable, script], cwd=tmp_path, env=os.environ | {"MPLBACKEND": "Agg"},
-        capture_output=True, text=True, timeout=170,
+        capture_output=True, text=True, timeout=600,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]

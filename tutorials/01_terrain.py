@@ -11,15 +11,17 @@
 # files in the folder `figures/` of the directory you start it from.
 
 # %%
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
-from agility_ref.env import EnvConfig, Go1Env
+from agility_ref.env import Go1Env
 from agility_ref.observation import SCANDOT_X, SCANDOT_Y, SCANDOTS, wrap
 from agility_ref.plots import BLUE, RED, SKILL_COLOURS, new_figure
+from agility_ref.task import EnvConfig
 from agility_ref.terrain import (
     CELL,
     COURSE_KINDS,
@@ -117,7 +119,7 @@ axes[-1, 0].set_xlabel("x [m]")
 save(figure, "01_from_above.png")
 
 goal = courses["walk"].waypoints[1]
-for x_robot, yaw in ((1.0, 0.0), (1.0, 0.5), (5.0, -3.0)):  # [m], [rad]; the last one has run past it
+for x_robot, yaw in ((1.0, 0.0), (1.0, 0.5), (5.0, 3.0)):  # [m], [rad]; the last one has run past it
     raw = np.arctan2(goal[1] - 0.0, goal[0] - x_robot) - yaw
     print(f"robot at x = {x_robot} m, yaw {yaw:+.1f} rad: heading error {raw:+.2f}, wrapped {wrap(raw):+.2f} rad")
 
@@ -190,7 +192,8 @@ def scandots(position, yaw, h):
 # %%
 kind = "gap"
 yaws = np.array([0.5, 0.0, -0.5])  # [rad]
-env = Go1Env(World([courses[kind]]), num_envs=3, config=EnvConfig().clean())
+config = replace(EnvConfig().clean(), scandot_period=1)  # every robot looks at every step
+env = Go1Env(World([courses[kind]]), num_envs=3, config=config)
 env.reset(seed=0)
 qpos = env.simulation.qpos  # (3, 19): xyz, quaternion wxyz, 12 joints; a live view
 qpos[:, 0], qpos[:, 1] = 1.93, 0.0
@@ -213,10 +216,11 @@ axes[0, 0].set_ylabel("y [m]")
 figure.colorbar(shown, ax=axes[0].tolist(), label="scandot [m]: + lower, - higher")
 save(figure, "01_scandots.png")
 print(f"largest difference between our scandots and the environment's: {max(difference):.1e} m")
+assert max(difference) < 1e-5
 
 # %% [markdown]
 # **Try.**  Replace `"gap"` by `"climb-up"` above.  Which colour does the tread take, and why is
-# a step of 0.35 m harder to see than a pit of 1 m?
+# a step of 0.35 m harder to see than a pit of 0.7 m?
 
 # %% [markdown]
 # ## 1.6 Edges

@@ -13,7 +13,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
+from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.go1 import (
     DEFAULT_DOF_POS,
     DOF_RANGE,
@@ -26,6 +26,7 @@ from agility_ref.go1 import (
 )
 from agility_ref.observation import OBS_DIM, OBSERVATION, observation_slices
 from agility_ref.plots import BLUE, GREEN, ORANGE, PURPLE, RED, new_figure
+from agility_ref.task import EnvConfig
 from agility_ref.terrain import make_course
 from agility_ref.world import World
 
@@ -157,7 +158,7 @@ save(figure, "02_step_response.png")
 # ## 2.3 What the policy sees
 #
 # One vector of 184 numbers.  The table below is printed from the code, so it cannot be wrong;
-# the third column is the amplitude of the uniform noise that training and evaluation add.
+# the last column is the amplitude of the uniform noise that training and evaluation add.
 
 # %%
 print(f"{'from':>5}{'to':>5}  {'name':20}{'size':>5}  noise +-")
@@ -183,15 +184,16 @@ for name, part in observation_slices().items():
 #
 # Each term is one function in `rewards.py`; the reward of a control step is their weighted sum
 #
-#     reward = dt * sum_k weight_k * term_k                     (equation 1)
+#     reward = dt * sum_k weight_k * term_k
 #
 # We let 64 robots twitch with small random actions for two seconds and average every term.
 # Dividing by dt gives reward per second, which is easier to read.
 #
 # *A right figure:* `alive` and `tracking_yaw` stand near their weights in `RewardConfig`, because
 # nobody falls and everybody faces the waypoint.  `tracking_goal_vel`, the largest weight of all,
-# is not even positive: landing from the start pose slides the robots back a little.  The rest
-# are small costs.
+# is not even positive: twitching gets nobody anywhere, and landing from the start pose slides the
+# robots back a little.  `gait_sync` costs as much: feet that shake lose contact one by one.
+# `standing` is 0 on level ground, where `alive` pays for it; the rest are small costs.
 
 # %%
 rng = np.random.default_rng(0)
