@@ -50,9 +50,9 @@ class Go1Env:
 
     **Reward**: :mod:`agility_ref.rewards`; ``info["reward_terms"]`` holds every term.
 
-    **Start**: x = 1 m on the level platform, facing +x (in training, now and then anywhere:
-    ``turned_start_share``), home pose; position, yaw and joints are perturbed a little.  A new
-    command is drawn.
+    **Start**: x = 1 m on the level platform, home pose, facing +x (in training, now and then
+    anywhere: ``turned_start_share``); position, yaw and joints are perturbed a little, and a
+    new command is drawn.
 
     **Disturbances**: a push every ``push_interval`` seconds; friction and payload of each
     course, drawn once.

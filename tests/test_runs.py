@@ -332,7 +332,7 @@ def test_the_supervised_selector_sees_every_course_and_level(config, monkeypatch
     monkeypatch.setattr(runs, "collect_labels", collect)
     config = replace(config, ppo=replace(TINY, num_envs=2 * len(spec.courses)), warm_start=False)
     monkeypatch.setattr(runs, "requirements", lambda name: ())
-    monkeypatch.setattr(runs, "weights_path", lambda *args: None)
+    monkeypatch.setattr(runs, "find_weights", lambda *args: "found")
     with pytest.raises(KeyboardInterrupt):
         train_policy("ps-sl-5", config, quiet=True)
     assert set(np.concatenate(seen)) == set(range(len(spec.courses) * config.curriculum.num_levels))
