@@ -128,7 +128,7 @@ _SPECS = (
     ),
 )  # fmt: skip
 POLICIES = {spec.name: spec for spec in _SPECS}
-ALIASES = {"ps-rl-3": "ps-rl-3-oracle"}  # the reward that Table 1 uses; docs/table1.md says why
+ALIASES = {"ps-rl-3": "ps-rl-3-oracle"}  # the paper does not say which of the two its Table 1 shows
 TABLE_ROWS = (
     "climb-up", "climb-down", "leap", "beam", "walk", "climb", "oracle", "ps-rl-3", "ps-sl-5", "gen-3", "gen-5",
 )  # fmt: skip

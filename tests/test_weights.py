@@ -4,7 +4,11 @@ import pytest
 
 from agility_ref import checkpoint, weights
 from agility_ref.checkpoint import Policy
+from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
+from agility_ref.learner import Learner
+from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.policies import PRESETS, PPOConfig
 
 
 @pytest.fixture
@@ -70,6 +74,20 @@ def test_an_unfinished_run_is_not_shipped(run, tmp_path):
     (run / "DONE").unlink()
     with pytest.raises(UserError, match="finished"):
         weights.ship(run, tmp_path)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_others_can_start_from_the_shipped_walk(preset):
+    path = weights.shipped(preset, "walk", 0)
+    if path is None:
+        pytest.skip(f"no walk of preset {preset} ships")
+    arrays, meta = checkpoint.load(path)
+    learner = Learner.create(OBS_DIM, ACTION_DIM, PPOConfig(), 0, fixed=SCANDOTS)
+    learner.warm_start(arrays, meta["steps"], 0.5)
+    assert learner.steps == learner.start == meta["steps"]
+    assert (learner.net.actor[0].weight.detach().numpy() == arrays["actor.0.weight"]).all()
+    assert not learner.training_arrays().keys() - {"optimizer.learning_rate"}
+    assert learner.net.log_std.exp().detach().numpy() == pytest.approx(0.5)
 
 
 def test_what_the_package_ships_is_what_its_manifest_records():
