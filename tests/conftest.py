@@ -5,6 +5,7 @@ import os
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 import pytest
+from mujoco import batch
 
 from agility_ref import checkpoint
 from agility_ref.checkpoint import Policy
@@ -53,3 +54,21 @@ def finished_run():
 def five_skills(make_policy):
     """Five different random specialists, in the order of the oracle's labels."""
     return {name: make_policy(k, name, gain=100.0) for k, name in enumerate(SKILLS)}
+
+
+@pytest.fixture
+def failing_batch():
+    """Return a stand-in for a batch, made from the real one: it reports robot 2 as failed after every step."""
+
+    class Failing:
+        def __init__(self, real):
+            self.real = real
+
+        def step(self, *args, **kwargs):
+            self.real.step(*args, **kwargs)
+            raise batch.SimulationError([2], "robot 2 failed")
+
+        def __getattr__(self, name):
+            return getattr(self.real, name)
+
+    return Failing

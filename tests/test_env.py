@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mujoco import batch
 
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.go1 import STAND_HEIGHT
@@ -622,23 +621,9 @@ def test_two_feet_at_beam_height_are_enough():
     assert (feet[[1, 3]] < -0.05).all() and (feet[[0, 2]] > 0.0).all()
 
 
-def test_failed_simulations_are_ended_and_counted():
+def test_failed_simulations_are_ended_and_counted(failing_batch):
     env = make_env("walk")
-
-    class Failing:
-        """The batch, which reports robot 2 as failed after every step."""
-
-        def __init__(self, real):
-            self.real = real
-
-        def step(self, *args, **kwargs):
-            self.real.step(*args, **kwargs)
-            raise batch.SimulationError([2], "robot 2 failed")
-
-        def __getattr__(self, name):
-            return getattr(self.real, name)
-
-    env.simulation.batch = Failing(env.simulation.batch)
+    env.simulation.batch = failing_batch(env.simulation.batch)
     obs, reward, terminated, _, info = env.step(still(env))
     np.testing.assert_array_equal(terminated, [False, False, True, False])
     assert env.simulation.errors == 1
