@@ -112,15 +112,12 @@ def plot_curves(argv: list[str]) -> None:
 
 def _evaluation_point(run: Path, environment: str, episodes: int) -> dict:
     """Evaluate the policy in a run folder; return its steps and its mean metrics."""
-    from agility_ref.checkpoint import Policy
-    from agility_ref.env import ACTION_DIM
     from agility_ref.evaluate import METRICS, EvaluationConfig, evaluate
-    from agility_ref.observation import OBS_DIM
+    from agility_ref.runs import load_skill
     from agility_ref.selector import Single
+    from agility_ref.task import EnvConfig
 
-    policy = Policy.load(run / "policy.npz")
-    if policy.meta.get("act_dim") != ACTION_DIM or policy.obs_dim != OBS_DIM:
-        raise UserError(f"{run} cannot be evaluated alone: it is no skill, or trained with a clock")
+    policy = load_skill(run / "policy.npz", EnvConfig())
     config = EvaluationConfig(episodes=episodes, preset=policy.meta.get("preset", "full"))
     result = evaluate(Single(policy.name, policy), environment, config)
     return {"steps": policy.meta["steps"], **{m: float(getattr(result, m).mean()) for m in METRICS}}

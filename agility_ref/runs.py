@@ -119,7 +119,7 @@ def load_policy(policy: str, config: TrainConfig) -> Single | Hierarchy:
     if spec.method == "oracle":
         return oracle_hierarchy(policy, skills)
     if spec.method == "ppo":
-        return Single(policy, _load_skill(policy, config))
+        return Single(policy, load_skill(weights_path(policy, config), config.env))
     own = Policy.load(weights_path(policy, config))
     _check_shape(own, own.obs_dim if own.obs_dim in (OBS_DIM, NUM_SCANDOTS) else OBS_DIM, len(skills))
     return selector_hierarchy(policy, skills, own)
@@ -141,15 +141,19 @@ def check_interface(source: Path, meta: dict, env: EnvConfig) -> None:
 
 def load_skills(spec: PolicySpec, config: TrainConfig) -> dict[str, Policy]:
     """Load the frozen specialists of a hierarchy, in the order of its outputs."""
-    return {name: _load_skill(name, config) for name in spec.skills}
+    return {name: load_skill(weights_path(name, config), config.env) for name in spec.skills}
 
 
-def _load_skill(name: str, config: TrainConfig) -> Policy:
-    """Load a policy that moves the joints, as the task wants them moved."""
-    path = weights_path(name, config)
+def load_skill(path: Path, env: EnvConfig) -> Policy:
+    """Load a policy that moves the joints, as ``env`` wants them moved.
+
+    Raises
+    ------
+    UserError : unreadable, a selector, trained with a clock or with actions that mean something else
+    """
     policy = Policy.load(path)
     _check_shape(policy, OBS_DIM, ACTION_DIM)
-    check_interface(path, policy.meta, config.env)
+    check_interface(path, policy.meta, env)
     return policy
 
 
