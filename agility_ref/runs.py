@@ -2,7 +2,7 @@
 
     <out>/<policy>/seed<k>/  config.json  progress.csv  policy.npz  learning_curve.png  DONE
 
-Everything is written under a temporary name and renamed, DONE last.  A run that was
+Files are written under a temporary name and renamed (progress.csv grows a row at a time), DONE last.  A run that was
 stopped goes on from its folder; a finished one is never overwritten unless told to.
 
 In:  the name of a policy, a preset and a seed.
@@ -249,9 +249,9 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
     log = ProgressLog(spec.name, folder, rows, total, quiet)
     stop = StopRequest()
-    last_save, start = time.monotonic(), time.monotonic() - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
+    start = time.monotonic() - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
 
-    def save() -> None:
+    def save(compress: bool) -> None:
         arrays = learner.arrays() | learner.training_arrays()
         arrays |= {f"curriculum.{name}": value for name, value in curriculum.state().items()}
         meta = {
@@ -260,7 +260,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
             "versions": checkpoint.versions(), "wall_seconds": time.monotonic() - start, "decision_steps": hold, "config": asdict(config),
         }  # fmt: skip
         log.write()
-        checkpoint.save(folder / "policy.npz", arrays, meta)
+        checkpoint.save(folder / "policy.npz", arrays, meta, compress)
 
     with stop:
         for iteration, record in enumerate(train(env, learner, total, stop.requested)):
@@ -268,14 +268,11 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
             learner.steps += (hold - 1) * ppo.batch_size
             record |= {"steps": learner.steps, "steps_per_second": hold * record["steps_per_second"]}
             log.add(record, time.monotonic() - start, curriculum.mean_level())
-            if time.monotonic() - last_save > 20.0:
-                save()
-                last_save = time.monotonic()
+            save(compress=False)  # every time: even a killed run loses no more than one iteration
             if iteration % 100 == 99:
-                log.write()
                 learning_curve(folder / "progress.csv", folder / "learning_curve.png", spec.name)
         log.close()
-        save()
+        save(compress=True)
     if learner.steps < total:
         raise KeyboardInterrupt(f"stopped at {learner.steps} of {total} steps; the same command goes on from {folder}")
     learning_curve(folder / "progress.csv", folder / "learning_curve.png", spec.name)

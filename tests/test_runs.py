@@ -153,6 +153,29 @@ def test_interrupt_saves_and_leaves_no_done(config, monkeypatch):
     assert steps_of(folder) == [BATCH, 2 * BATCH, 3 * BATCH]
 
 
+def test_a_killed_run_loses_no_more_than_one_iteration(config, monkeypatch):
+    # No signal handler has a say when a process is killed or the power fails, so what counts is what lies on disk.
+    class Killed(BaseException):
+        pass
+
+    step, steps = runs.Go1Env.step, []
+
+    def killed(self, action):
+        steps.append(1)
+        if len(steps) == 2 * TINY.num_steps + 3:  # in the third iteration
+            raise Killed
+        return step(self, action)
+
+    monkeypatch.setattr(runs.Go1Env, "step", killed)
+    with pytest.raises(Killed):
+        train_policy("walk", replace(config, steps=4 * BATCH), quiet=True)
+    folder = run_folder(config.root, "walk", 0)
+    assert checkpoint.load(folder / "policy.npz")[1]["steps"] == 2 * BATCH
+    first = progress(folder)
+    train_policy("walk", replace(config, steps=4 * BATCH), quiet=True)
+    assert steps_of(folder) == [k * BATCH for k in (1, 2, 3, 4)] and progress(folder)[:2] == first
+
+
 def test_resuming_with_another_network_is_refused(config):
     folder = train_policy("walk", config, quiet=True)
     (folder / "DONE").unlink()
