@@ -1,4 +1,5 @@
 import csv
+import importlib
 import json
 import sys
 from dataclasses import asdict, replace
@@ -46,6 +47,20 @@ def fixed_judge(*fractions):
     """Return a judge that gives one number after the other."""
     left = iter(fractions)
     return lambda policy: {"waypoint_fraction": next(left), "falls": 0.25}
+
+
+# --- every script -------------------------------------------------------------------------
+
+SCRIPTS = sorted(path.stem for path in Path(common.__file__).parent.glob("*.py"))
+
+
+@pytest.mark.parametrize("name", [name for name in SCRIPTS if name not in ("common", "learning")])
+def test_every_script_has_settings_with_help(name, capsys, monkeypatch):
+    script = importlib.import_module(name)  # without the optional packages that it may want to run
+    monkeypatch.setattr(sys, "argv", [f"benchmarks/{name}.py", "--help"])
+    with pytest.raises(SystemExit) as stop:
+        common.start(script.main, script.Config)
+    assert stop.value.code == 0 and "--json" in capsys.readouterr().out
 
 
 # --- learning -----------------------------------------------------------------------------
