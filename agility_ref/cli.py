@@ -100,7 +100,7 @@ def table1(argv: list[str]) -> None:
         train: bool = False
         """Train every policy first, from scratch; finished runs in --out are kept."""
         findings: bool = False
-        """Also check each finding of sections 4.2 and 4.3; writes findings.md."""
+        """Also check each finding of the paper; writes findings.md."""
         ablations: str = "benchmarks/results/ablations.csv"
         """Ablations for the findings, where measured: ablation,policy,seed,steps,waypoint_fraction."""
         out: str = ""

@@ -285,7 +285,7 @@ def as_published(
     """Measure a run of fixed length as the original evaluator does.
 
     The paper's table was probably counted this way: it prints 0.14 +- 0.00 for policies that pass
-    one waypoint, which is 1/7 and not 1/8, and a violation whose deviation exceeds its mean.
+    one waypoint, which is 1/7 and not 1/8, and nearly every violation's deviation exceeds its mean.
 
     Reproduced:
 
@@ -304,7 +304,8 @@ def as_published(
 
     * reward weights, and the clipping of the reward at zero (``env.clip_reward_at_zero``);
       there the edge term counts on a fifth of the courses alone;
-    * episodes after a robot's first last 1001 steps at most, here 1000;
+    * from a robot's second episode on, the original allows 1001 steps; here 1000;
+    * on ``gap`` the original's waypoints stand before each gap, ours behind it;
     * edges across the lane alone, where ours count along both axes (``World(edges="x")``);
     * commanded speeds of 0.3 to 0.8 m/s, motors of differing strength, pushes of all robots in
       the same step, 25 courses shared by 256 robots, all terrains pooled in one number.

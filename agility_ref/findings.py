@@ -1,4 +1,4 @@
-"""Findings: what sections 4.2 and 4.3 of the paper say, asked of our cells.
+"""Findings: what the paper's abstract, its sections 4.2 and 4.3 and its Table 1 say, asked of our cells.
 
 One function a claim.  Unless the claim names another quantity, the measure is the waypoint
 fraction: rewards depend on weights that differ from the paper's, and a long episode is

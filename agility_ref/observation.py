@@ -1,7 +1,7 @@
 """Observation: what the robots sense, its layout, noise and scandots.
 
-Paper section 3.2.1: scandots, proprioception and heading.  The layout is that of Extreme
-Parkour without history and estimator; :class:`~agility_ref.env.Go1Env` fills it in.
+Paper section 3.2.1: scandots, proprioception and heading.  The ingredients are those of Extreme
+Parkour without history, estimator and class flags, in their own units; :class:`~agility_ref.env.Go1Env` fills it in.
 
 In:  poses and the height maps of a :class:`~agility_ref.world.World`.
 Out: the table OBSERVATION, and the 132 scandots.

@@ -2,8 +2,8 @@
 
 Paper section 3.2.1: the selector is "trained using the same PPO formulation used during
 training of low-level skills".  In: a vector environment with Gymnasium's SAME_STEP
-autoreset.  Out: a trained :class:`~agility_ref.networks.ActorCritic` and its normaliser,
-through a callback each iteration.
+autoreset.  Out: a trained :class:`~agility_ref.networks.ActorCritic` and its normaliser, and
+one record an iteration.
 
 Two things are done here that many references get wrong: a truncated episode bootstraps
 with the value of its **true final observation** and a terminated one does not bootstrap,

@@ -1,8 +1,8 @@
 """Recordings: play episodes and keep what there is to see.
 
-Everything that draws (:mod:`agility_ref.pictures`, :mod:`agility_ref.video`,
-:mod:`agility_ref.viewer`) draws from these arrays, so a picture shows what was simulated
-and nothing else.
+Every picture, film and clip (:mod:`agility_ref.pictures`, :mod:`agility_ref.panels`,
+:mod:`agility_ref.video`) is drawn from these arrays, so it shows what was simulated and
+nothing else.  The live views simulate for themselves.
 
 In:  a policy, an environment and which of its evaluation courses to play.
 Out: one :class:`Episode` a robot, trimmed to its length.

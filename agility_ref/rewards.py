@@ -8,7 +8,7 @@ after one control step.  Out: each term as an array over robots; the reward is
     reward = dt * sum_k weight_k * term_k
 
 What is simplified: nothing depends on simulator internals beyond contact forces, and
-torque *changes* (weight -1e-7 there, four orders below the next term) are left out.
+the squared torque *changes* (weight -1e-7 there) are left out.
 """
 
 from dataclasses import dataclass
@@ -166,8 +166,9 @@ def gait_sync(s: StepState) -> np.ndarray:
 def standing(s: StepState) -> np.ndarray:
     """What is missing to 0.3 times the commanded speed towards the waypoint, as a fraction, off the level course.
 
-    Not in the original.  Whoever faces the waypoint and stands earns ``tracking_yaw``, and a
-    beginner who tries a gap half the time falls and earns no more: without this, not trying pays.
+    Not in the original.  A robot that faces the waypoint and stands still earns ``tracking_yaw``.
+    A beginner that tries a gap falls half the time and earns no more: without this term,
+    standing still pays.
     """
     return np.clip(1.0 - s.goal_velocity / (0.3 * s.command), 0.0, 1.0) * ~s.on_level_course
 

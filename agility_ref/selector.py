@@ -134,9 +134,9 @@ class SelectorEnv:
 
     **Autoreset**: SAME_STEP, as in :class:`Go1Env`, also within a hold.  A robot whose episode
     ends there is done in this decision, with the reward up to the end and the true final
-    observation.  Its next episode waits for nobody: until the next decision, less than k
-    control steps later, it walks (every course begins on a level platform) and what that
-    earns is nobody's.  ``info["episode"]`` counts control steps.
+    observation.  Its next episode starts at once: until the next decision, less than k control
+    steps later, it walks (every course begins on a level platform), and the reward of these
+    steps is not counted.  ``info["episode"]`` counts control steps.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """Task: everything about an episode but the courses, as numbers that a reader may change.
 
-Paper section 4.1 and the Extreme Parkour code base, whose values stand beside ours where they
-differ.  In: nothing.  Out: :class:`EnvConfig`, which :class:`~agility_ref.env.Go1Env` obeys.
+Paper section 4.1 and the Extreme Parkour code base; docs/differences.md has its values beside
+ours.  In: nothing.  Out: :class:`EnvConfig`, which :class:`~agility_ref.env.Go1Env` obeys.
 """
 
 from dataclasses import dataclass, replace

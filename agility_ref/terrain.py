@@ -14,7 +14,10 @@ The dimensions are those of the Extreme Parkour code base that the paper stands 
 * only ``walk`` is rough; the original adds roughness to every course;
 * steps and gaps span the whole lane, so nothing can be walked around;
 * pits deepen with the difficulty, which gives a beginner a shallow first gap;
-* ``beam`` and ``climb-gap`` are described, not dimensioned, in the paper: these are ours.
+* waypoints of ``gap`` stand behind each gap, not before it; ``walk`` is half as rough, on tiles of
+  0.5 m; treads and the distances between waypoints differ by some centimetres;
+* ``climb-up``, ``climb-down``, ``beam`` and ``climb-gap`` are described, not dimensioned, in the
+  paper: these are ours.
 """
 
 from dataclasses import dataclass

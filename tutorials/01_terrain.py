@@ -2,7 +2,7 @@
 # # 1. Terrain: one list of boxes, five maps
 #
 # Everything in this project happens on a **course**: a lane 18 m long and 4 m wide with
-# six obstacles and eight waypoints.  A course is nothing but a list of blocks.  This
+# eight waypoints and, on all kinds but `walk`, six obstacles.  A course is nothing but a list of blocks.  This
 # tutorial reads five things off that list: the heights, the robot's terrain scan, the
 # edges, the waypoints, and the map that tells the oracle which skill to use where (paper
 # section 3.2.1, Figure 3).
@@ -158,8 +158,8 @@ save(figure, "01_difficulty.png")
 # %% [markdown]
 # ## 1.5 Scandots: what the robot sees
 #
-# The paper gives its policies 132 *scandots*: ground heights on a 12 x 11 grid that moves
-# and turns with the robot.  With trunk position (p_x, p_y, z), yaw psi and grid offsets (a, b),
+# The paper gives its policies 132 *scandots*: ground heights on a grid, 12 x 11 in the code base
+# it builds on, that moves and turns with the robot.  With trunk position (p_x, p_y, z), yaw psi and grid offsets (a, b),
 #
 #     point  = (p_x, p_y) + R(psi) (a, b)
 #     dot    = clip( z - 0.3 - h(point), -1, +1 )                    [m]
