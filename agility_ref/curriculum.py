@@ -101,6 +101,11 @@ class Curriculum:
         """Mean level over robots, as a fraction of the top level."""
         return float(self.level.mean() / max(self.config.num_levels - 1, 1))
 
+    def mean_levels(self) -> np.ndarray:
+        """Mean level of the robots of each kind, as fractions of the top level, (K,)."""
+        totals = np.bincount(self.kind, weights=self.level) / max(self.config.num_levels - 1, 1)
+        return totals / np.bincount(self.kind)
+
     def state(self) -> dict[str, np.ndarray]:
         """Return what a resumed run needs."""
         return {"level": self.level.copy()}

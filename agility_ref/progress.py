@@ -66,8 +66,8 @@ class ProgressLog:
             mininterval=0.5 if sys.stderr.isatty() else 30.0,
         )
 
-    def add(self, record: dict, wall_seconds: float, level: float) -> None:
-        """Take in one iteration."""
+    def add(self, record: dict, wall_seconds: float, level: float, levels: dict[str, float]) -> None:
+        """Take in one iteration; ``levels`` are further columns, in the same order every time."""
         self.episodes.extend(record["episodes"])
         episodes = list(self.episodes)
 
@@ -79,7 +79,8 @@ class ProgressLog:
             "wall_seconds": wall_seconds, "reward": mean("reward"), "episode_length": mean("length"),
             "waypoint_fraction": mean("waypoints") / NUM_WAYPOINTS, "edge_violation": mean("edge") / length, "level": level,
         }  # fmt: skip
-        self.rows.append({key: f"{figures[key]:.6g}" if key != "steps" else figures[key] for key in PROGRESS})
+        row = {key: f"{figures[key]:.6g}" if key != "steps" else figures[key] for key in PROGRESS}
+        self.rows.append(row | {key: f"{value:.6g}" for key, value in levels.items()})
         self.bar.set_postfix_str(
             f"return {figures['reward']:.1f}, waypoints {figures['waypoint_fraction']:.2f}, level {level:.2f}",
             refresh=False,
@@ -91,7 +92,7 @@ class ProgressLog:
         if not self.written and self.rows:
             write_csv(self.path, self.rows)
         elif self.written < len(self.rows):
-            lines = [",".join(str(row[key]) for key in PROGRESS) + "\r\n" for row in self.rows[self.written :]]
+            lines = [",".join(map(str, row.values())) + "\r\n" for row in self.rows[self.written :]]
             with open(self.path, "a", newline="") as file:
                 file.write("".join(lines))
         self.written = len(self.rows)

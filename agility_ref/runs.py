@@ -248,8 +248,10 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
     log = ProgressLog(spec.name, folder, rows, total, quiet)
+    kinds = [f"level_{kind}" for kind in spec.courses] if len(spec.courses) > 1 and config.curriculum.enabled else []
     stop = StopRequest()
-    start = time.monotonic() - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
+    last_drawn = time.monotonic()
+    start = last_drawn - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
 
     def save(compress: bool) -> None:
         arrays = learner.arrays() | learner.training_arrays()
@@ -263,13 +265,15 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
         checkpoint.save(folder / "policy.npz", arrays, meta, compress)
 
     with stop:
-        for iteration, record in enumerate(train(env, learner, total, stop.requested)):
+        for record in train(env, learner, total, stop.requested):
             # PPO has counted decisions; budgets are in control steps.
             learner.steps += (hold - 1) * ppo.batch_size
             record |= {"steps": learner.steps, "steps_per_second": hold * record["steps_per_second"]}
-            log.add(record, time.monotonic() - start, curriculum.mean_level())
+            levels = dict(zip(kinds, curriculum.mean_levels(), strict=False))
+            log.add(record, time.monotonic() - start, curriculum.mean_level(), levels)
             save(compress=False)  # every time: even a killed run loses no more than one iteration
-            if iteration % 100 == 99:
+            if time.monotonic() - last_drawn > 60.0:
+                last_drawn = time.monotonic()
                 learning_curve(folder / "progress.csv", folder / "learning_curve.png", spec.name)
         log.close()
         save(compress=True)

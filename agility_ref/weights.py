@@ -21,7 +21,7 @@ from agility_ref.progress import read_progress
 WARM_STARTS = {spec.warm_start for spec in POLICIES.values()}
 FOLDER = Path(str(resources.files("agility_ref") / "weights"))
 CURVE_POINTS = 60  # points of progress.csv that the manifest keeps ...
-CURVE_COLUMNS = ("steps", "wall_seconds", "reward", "waypoint_fraction", "level")  # ... and what of each
+CURVE_COLUMNS = ("steps", "wall_seconds", "reward", "waypoint_fraction", "level")  # ... of each, and level_<kind>
 
 
 def file_name(preset: str, policy: str, seed: int) -> str:
@@ -52,9 +52,9 @@ def shipped(preset: str, policy: str, seed: int, folder: Path = FOLDER) -> Path 
 
 
 def _thin(values: np.ndarray) -> list[float]:
-    """Keep about CURVE_POINTS values, the last one among them where they divide evenly."""
-    stride = max(1, len(values) // CURVE_POINTS)
-    return values[stride - 1 :: stride].tolist()
+    """Keep about CURVE_POINTS values, the first and the last one among them."""
+    kept = np.linspace(0, len(values) - 1, min(len(values), CURVE_POINTS + 1)).round().astype(int)
+    return values[kept].tolist()
 
 
 def ship(run: Path, folder: Path = FOLDER) -> Path:
@@ -74,7 +74,7 @@ def ship(run: Path, folder: Path = FOLDER) -> Path:
     checkpoint.save(path, kept, {key: value for key, value in meta.items() if key != "schema"})
     record = {key: meta[key] for key in ("policy", "preset", "seed", "steps", "wall_seconds", "courses", "versions")}
     progress = read_progress(run / "progress.csv")
-    curve = {key: _thin(progress[key]) for key in CURVE_COLUMNS if key in progress}
+    curve = {key: _thin(v) for key, v in progress.items() if key in CURVE_COLUMNS or key.startswith("level_")}
     entries = manifest(folder) | {path.name: {"sha256": checkpoint.sha256(path), **record, "curve": curve}}
     (folder / "manifest.json").write_text(json.dumps(entries, sort_keys=True) + "\n")
     return path

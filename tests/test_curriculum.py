@@ -106,6 +106,14 @@ def test_disabled_draws_all_levels_alike():
     np.testing.assert_allclose(np.bincount(courses, minlength=4) / 2000, 0.25, atol=0.05)
 
 
+def test_mean_levels_are_those_of_each_kind():
+    curriculum = Curriculum(3, 6, replace(PLAIN, num_levels=5, variants=1), seed=0)
+    assert curriculum.kind.tolist() == [0, 0, 1, 1, 2, 2]
+    curriculum.level[:] = [0, 4, 2, 2, 4, 3]
+    assert curriculum.mean_levels().tolist() == [0.5, 0.5, 0.875]  # of 4 steps up: 2/4, 2/4, 3.5/4
+    assert curriculum.mean_level() == 2.5 / 4
+
+
 def test_mean_level_is_a_fraction_of_the_top():
     curriculum = Curriculum(1, 2, PLAIN, seed=0)
     curriculum.level[:] = [0, 3]

@@ -190,6 +190,13 @@ def test_resuming_with_another_number_of_robots(config):
         train_policy("walk", replace(config, steps=5 * BATCH, ppo=replace(TINY, num_envs=6)), quiet=True)
 
 
+def test_a_generalist_records_the_level_of_each_kind(config):
+    train_policy("walk", config, quiet=True)
+    rows = progress(train_policy("gen-3", replace(config, steps=5 * BATCH), quiet=True))
+    levels = [[float(row[f"level_{kind}"]) for kind in ("climb", "gap", "walk")] for row in rows]
+    assert np.shape(levels) == (2, 3)
+
+
 # --- warm starts and needs -------------------------------------------------------------
 
 
