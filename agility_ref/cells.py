@@ -129,7 +129,7 @@ def steps_spent(policy: str, training: TrainConfig) -> int:
     """Environment steps behind a policy: its own and its skills', a common warm start counted once.
 
     Checkpoints count their warm start.  Of a bank, with s_k the steps of skill k and w_k those
-    of its warm start if that is in the bank too (0 otherwise)::
+    it started from if its warm start is in the bank too (0 otherwise)::
 
         steps = own + sum over k of (s_k - w_k)
 
@@ -141,10 +141,8 @@ def steps_spent(policy: str, training: TrainConfig) -> int:
     records = {name: checkpoint.load(weights_path(name, training))[1] for name in acting_policies(policy)}
     total = sum(record["steps"] for record in records.values())
     for name in spec.skills:
-        warm_start = find_policy(name).warm_start
-        started_warm = records[name].get("config", {}).get("warm_start", True)
-        if started_warm and warm_start in spec.skills:
-            total -= records[warm_start]["steps"]
+        if find_policy(name).warm_start in spec.skills:
+            total -= records[name].get("start", 0)
     return total
 
 

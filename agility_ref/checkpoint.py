@@ -159,6 +159,11 @@ class Policy:
         arrays, meta = load(path)
         return cls.from_arrays(arrays, meta, str(path))
 
+    def digest(self) -> str:
+        """Return a short digest of everything that decides its actions."""
+        arrays = [self.mean, self.std, *(array for layer in self.layers for array in layer)]
+        return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()[:16]
+
     @property
     def obs_dim(self) -> int:
         """Length of the observation it takes."""

@@ -98,7 +98,7 @@ class Go1Env:
         self.world, self.num_envs, self.config = world, num_envs, config
         self.next_course = next_course or self._draw_course
         self.max_steps = round(config.episode_seconds / config.dt)
-        self._reach_steps = round(config.waypoint_seconds / config.dt)
+        self._reach_steps = max(1, round(config.waypoint_seconds / config.dt))
         self._stall_steps = round(config.stall_seconds / config.dt)
         self._push_steps = round(config.push_interval / config.dt)
         self._level_course = world.kinds == "walk"

@@ -43,7 +43,7 @@ def write_csv(path: Path, rows: list[dict]) -> None:
 def read_progress(path: Path) -> dict[str, np.ndarray]:
     """Read a progress.csv into one array a column."""
     with open(path, newline="") as file:
-        rows = list(csv.DictReader(file))
+        rows = [row for row in csv.DictReader(file) if None not in row.values()]
     return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]} if rows else {}
 
 

@@ -120,8 +120,12 @@ def load_policy(policy: str, config: TrainConfig) -> Single | Hierarchy:
         return oracle_hierarchy(policy, skills)
     if spec.method == "ppo":
         return Single(policy, load_skill(weights_path(policy, config), config.env))
-    own = Policy.load(weights_path(policy, config))
+    path = weights_path(policy, config)
+    own = Policy.load(path)
     _check_shape(own, own.obs_dim if own.obs_dim in (OBS_DIM, NUM_SCANDOTS) else OBS_DIM, len(skills))
+    for name, digest in own.meta.get("skills", {}).items():
+        if name in skills and skills[name].digest() != digest:
+            raise UserError(f"{path} was trained over another {name} than {weights_path(name, config)}; train it again")
     return selector_hierarchy(policy, skills, own)
 
 
@@ -132,11 +136,21 @@ def check_interface(source: Path, meta: dict, env: EnvConfig) -> None:
     ------
     UserError : names the file and the field that differs
     """
-    trained = meta.get("config", {}).get("env", {})
-    for field in ("action_scale", "action_limit", "action_repeat"):
-        theirs, ours = trained.get(field, getattr(env, field)), getattr(env, field)
+    trained = _flat(meta.get("config", {}).get("env", {}))
+    here = _flat(asdict(env))
+    for field in ("action-scale", "action-limit", "action-repeat", "physics.kp", "physics.kd"):
+        theirs, ours = trained.get(field, here[field]), here[field]
         if theirs != ours:
-            raise UserError(f"{source} was trained with env.{field.replace('_', '-')} {theirs}, this task has {ours}")
+            raise UserError(f"{source} was trained with env.{field} {theirs}, this task has {ours}")
+
+
+def _flat(settings: dict, prefix: str = "") -> dict[str, object]:
+    """Name nested settings as the command line does: {"ppo": {"num_envs": 4}} is {"ppo.num-envs": 4}."""
+    flat = {}
+    for key, value in settings.items():
+        name = prefix + key.replace("_", "-")
+        flat |= _flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
+    return flat
 
 
 def load_skills(spec: PolicySpec, config: TrainConfig) -> dict[str, Policy]:
@@ -175,6 +189,7 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
     spec = find_policy(name)
     find_preset(config.preset)
     for what, given, least in (
+        ("seed", config.seed, 0),
         ("steps", config.steps, 0),
         ("ppo.num-envs", config.ppo.num_envs, 1),
         ("ppo.num-steps", config.ppo.num_steps, 1),
@@ -187,6 +202,8 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
         ("selector.decision-steps", config.selector.decision_steps, 1),
         ("selector.switch-cost", config.selector.switch_cost, 0),
         ("supervised.dagger-rounds", config.supervised.dagger_rounds, 0),
+        ("supervised.epochs", config.supervised.epochs, 1),
+        ("supervised.batch-size", config.supervised.batch_size, 1),
     ):
         if not given >= least:
             raise UserError(f"{what} must be at least {least}, got {given}")
@@ -194,24 +211,35 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
         raise UserError(
             "the oracle needs no training: it reads the region map; train its skills: " + ", ".join(spec.skills)
         )
-    if config.env.gait_clock and (spec.method != "ppo" or config.ppo.mirror):
-        raise UserError("env.gait-clock is for skills and generalists, without ppo.mirror")
+    if (config.env.gait_clock or config.ppo.mirror) and spec.method != "ppo":
+        raise UserError("env.gait-clock and ppo.mirror are for skills and generalists")
+    if config.env.gait_clock and config.ppo.mirror:
+        raise UserError("env.gait-clock does not go with ppo.mirror")
     folder = run_folder(config.root, name, config.seed)
-    if (folder / "DONE").exists():
+    aside, replaces = folder.with_name(f"{folder.name}.old"), (folder / "DONE").exists()
+    if replaces:
         if not config.overwrite:
             raise UserError(f"{folder} holds a finished run; choose another --out, or --overwrite to replace it")
-        shutil.rmtree(folder)
-    needs = requirements(name) if config.warm_start else spec.skills
-    for other in needs:
-        if find_weights(other, config) is None:
-            train_policy(other, replace(config, steps=0, overwrite=False), quiet)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "config.json", json.dumps({"policy": spec.name, **asdict(config)}, indent=1))
-    if spec.method == "supervised":
-        _train_supervised(spec, config, folder, quiet)
-    else:
-        _train_ppo(spec, config, folder, quiet)
+        shutil.rmtree(aside, ignore_errors=True)
+        folder.rename(aside)  # until the new run is finished
+    try:
+        needs = requirements(name) if config.warm_start else spec.skills
+        for other in needs:
+            if find_weights(other, config) is None:
+                train_policy(other, replace(config, steps=0, overwrite=False), quiet)
+        folder.mkdir(parents=True, exist_ok=True)
+        (_train_supervised if spec.method == "supervised" else _train_ppo)(spec, config, folder, quiet)
+    except UserError:
+        if replaces:
+            shutil.rmtree(folder, ignore_errors=True)
+            aside.rename(folder)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
     return folder
+
+
+def _write_config(spec: PolicySpec, config: TrainConfig, folder: Path) -> None:
+    write_text(folder / "config.json", json.dumps({"policy": spec.name, **asdict(config)}, indent=1))
 
 
 def make_env(spec: PolicySpec, config: TrainConfig) -> tuple[Go1Env, Curriculum]:
@@ -241,12 +269,13 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     act_dim = len(spec.skills) if selector else ACTION_DIM
     distribution = Categorical if selector else Gaussian
     learner = Learner.create(config.env.obs_dim, act_dim, ppo, config.seed, distribution, fixed=SCANDOTS)
+    skills = load_skills(spec, config)
     if selector:
-        oracle = oracle_hierarchy(spec.name, load_skills(spec, config))
-        env = SelectorEnv(env, oracle, spec.reward, config.selector, config.ppo.gamma)
+        env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward, config.selector, config.ppo.gamma)
     rows = _resume_or_warm_start(spec, config, folder, learner, curriculum)
     if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
+    _write_config(spec, config, folder)
     log = ProgressLog(spec.name, folder, rows, total, quiet)
     kinds = [f"level_{kind}" for kind in spec.courses] if len(spec.courses) > 1 and config.curriculum.enabled else []
     stop = StopRequest()
@@ -260,6 +289,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
             "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": learner.steps,
             "start": learner.start, "courses": spec.courses, "act_dim": act_dim, "obs_dim": config.env.obs_dim,
             "versions": checkpoint.versions(), "wall_seconds": time.monotonic() - start, "decision_steps": hold, "config": asdict(config),
+            "skills": {name: skill.digest() for name, skill in skills.items()},
         }  # fmt: skip
         log.write()
         checkpoint.save(folder / "policy.npz", arrays, meta, compress)
@@ -290,23 +320,23 @@ def _resume_or_warm_start(
     saved = folder / "policy.npz"
     if saved.exists():
         arrays, meta = checkpoint.load(saved)
-        if meta.get("preset") != config.preset:
-            raise UserError(f"{folder} was trained with preset {meta.get('preset')}, not {config.preset}")
-        if spec.method == "ppo-selector" and meta.get("decision_steps", 1) != config.selector.decision_steps:
-            raise UserError(
-                f"{folder} decides every {meta.get('decision_steps', 1)} steps; give that, or another --out"
-            )
+        began, now = _flat(meta.get("config", {})), _flat(json.loads(json.dumps(asdict(config))))
+        for key, ours in now.items():
+            if key not in ("steps", "out", "overwrite") and began.get(key, ours) != ours:
+                raise UserError(
+                    f"{folder} was started with {key} {began[key]}, not {ours}; give that, or another --out"
+                )
+        if not {"curriculum.level", "normalizer.count"} <= arrays.keys():
+            raise UserError(f"{saved} can act but not be trained further: it lacks the state of a training run")
         learner.load_arrays(arrays)
         learner.steps, learner.start = meta["steps"], meta.get("start", 0)
         learner.generator.manual_seed(config.seed + learner.steps)  # not the noise of the first part again
-        level = arrays["curriculum.level"]
-        if len(level) != len(curriculum.level):
-            raise UserError(f"{folder} was trained with {len(level)} robots, not {len(curriculum.level)}")
-        curriculum.load_state({"level": level})
+        curriculum.load_state({"level": arrays["curriculum.level"]})
         if not (folder / "progress.csv").exists():  # stopped before the first iteration
             return []
         with open(folder / "progress.csv", newline="") as file:
-            return [row for row in csv.DictReader(file) if int(row["steps"]) <= learner.steps]
+            rows = [row for row in csv.DictReader(file) if None not in row.values()]  # the last may be cut short
+        return [row for row in rows if int(row["steps"]) <= learner.steps]
     if spec.warm_start and config.warm_start:
         source = weights_path(spec.warm_start, config)
         arrays, meta = checkpoint.load(source)
@@ -327,6 +357,7 @@ def _train_supervised(spec: PolicySpec, config: TrainConfig, folder: Path, quiet
     config = replace(config, curriculum=replace(config.curriculum, enabled=False))
     env, _ = make_env(spec, config)
     skills = load_skills(spec, config)
+    _write_config(spec, config, folder)
     oracle = oracle_hierarchy("oracle", skills)
     rounds = config.supervised.dagger_rounds + 1
     total = config.steps or spec.steps(config.preset)
@@ -340,6 +371,7 @@ def _train_supervised(spec: PolicySpec, config: TrainConfig, folder: Path, quiet
             "courses": spec.courses, "act_dim": len(skills), "obs_dim": NUM_SCANDOTS,
             "versions": checkpoint.versions(), "wall_seconds": time.monotonic() - start,
             "decision_steps": config.selector.decision_steps, "config": asdict(config),
+            "skills": {name: skill.digest() for name, skill in skills.items()},
         }  # fmt: skip
         actor = selector_hierarchy(spec.name, skills, Policy.from_arrays(arrays, meta))
         rows += [{"round": k, "states": len(labels), "epoch": e, "cross_entropy": v} for e, v in enumerate(losses)]

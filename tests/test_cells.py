@@ -20,7 +20,7 @@ def bank(tmp_path, monkeypatch, finished_run):
     """The five specialists and PS-SL-5 as finished runs of seed 0; nothing is shipped."""
     monkeypatch.setattr("agility_ref.weights.shipped", lambda *key: None)
     for name, steps in zip(FIVE, (100, 250, 220, 300, 180), strict=True):
-        finished_run(tmp_path / "runs", name, steps=steps)
+        finished_run(tmp_path / "runs", name, steps=steps, start=0 if name == "walk" else 100)
     finished_run(tmp_path / "runs", "ps-sl-5", steps=50, obs_dim=132, act_dim=5)
     return TrainConfig(out=str(tmp_path / "runs"))
 
@@ -152,8 +152,13 @@ def test_steps_spent_by_hand(bank, policy, expected):
 
 
 def test_a_skill_from_scratch_has_no_warm_start_to_share(bank, tmp_path, finished_run):
-    finished_run(tmp_path / "runs", "beam", steps=180, config={"warm_start": False})
+    finished_run(tmp_path / "runs", "beam", steps=180, start=0)
     assert steps_spent("oracle", bank) == 750  # 100 + 150 + 120 + 200 + 180
+
+
+def test_what_a_skill_started_from_counts_not_what_lies_there_now(bank, tmp_path, finished_run):
+    finished_run(tmp_path / "runs", "walk", steps=400, start=0)  # trained longer after the others had begun
+    assert steps_spent("oracle", bank) == 950  # 400 + 150 + 120 + 200 + 80
 
 
 # --- stacking --------------------------------------------------------------------------

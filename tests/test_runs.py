@@ -1,5 +1,6 @@
 import csv
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +13,10 @@ from agility_ref.errors import UserError
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
 from agility_ref.policies import PPOConfig, find_policy
 from agility_ref.progress import PROGRESS
+from agility_ref.rewards import RewardConfig
 from agility_ref.runs import TrainConfig, load_policy, run_folder, train_policy, weights_path
 from agility_ref.selector import Hierarchy, SelectorConfig, Single, SupervisedConfig
+from agility_ref.task import EnvConfig
 from agility_ref.terrain import COURSE_KINDS
 
 BATCH = 4 * 8
@@ -183,10 +186,61 @@ def test_resuming_with_another_network_is_refused(config):
         train_policy("walk", replace(config, steps=5 * BATCH, ppo=replace(TINY, hidden=(6,))), quiet=True)
 
 
+@pytest.mark.parametrize("flag, change", [
+    ("ppo.gamma 0.99, not 0.9", {"ppo": replace(TINY, gamma=0.9)}),
+    ("curriculum.num-levels 2, not 3", {"curriculum": CurriculumConfig(num_levels=3, variants=1)}),
+    ("env.rewards.alive 0.5, not 0", {"env": EnvConfig(turned_start_share=0.1, stall_seconds=5, rewards=RewardConfig(alive=0))}),
+    ("preset quick, not full", {"preset": "full"}),
+])  # fmt: skip
+def test_resuming_with_other_settings_is_refused_and_changes_nothing(config, flag, change):
+    folder = train_policy("walk", config, quiet=True)
+    (folder / "DONE").unlink()
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    with pytest.raises(UserError, match=re.escape(f"started with {flag}")):
+        train_policy("walk", replace(config, steps=5 * BATCH, **change), quiet=True)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_a_refused_overwrite_keeps_the_finished_run(config):
+    train_policy("walk", config, quiet=True)
+    folder = train_policy("leap", replace(config, steps=5 * BATCH), quiet=True)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    for wrong in (
+        {"steps": BATCH},
+        {"env": replace(config.env, action_scale=0.5)},
+        {"ppo": replace(TINY, hidden=(6,))},
+    ):
+        with pytest.raises(UserError):
+            train_policy("leap", replace(config, overwrite=True, **wrong), quiet=True)
+        assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    train_policy("leap", replace(config, overwrite=True, steps=6 * BATCH), quiet=True)
+    assert steps_of(folder)[-1] == 6 * BATCH and [path.name for path in folder.parent.iterdir()] == ["seed0"]
+
+
+def test_a_selector_acts_over_the_skills_it_was_trained_with(config, tmp_path, finished_run):
+    for name in ("walk", "climb", "leap"):
+        finished_run(tmp_path, name, preset="quick")
+    train_policy("ps-rl-3-env", config, quiet=True)
+    assert isinstance(load_policy("ps-rl-3-env", config), Hierarchy)
+    finished_run(tmp_path, "leap", preset="quick", gain=50.0)
+    with pytest.raises(UserError, match="was trained over another leap"):
+        load_policy("ps-rl-3-env", config)
+
+
+def test_weights_that_can_only_act_are_not_trained_further(config):
+    folder = train_policy("walk", config, quiet=True)
+    (folder / "DONE").unlink()
+    arrays, meta = checkpoint.load(folder / "policy.npz")
+    acting = {name: array for name, array in arrays.items() if not name.startswith(("optimizer.", "curriculum."))}
+    checkpoint.save(folder / "policy.npz", acting, {key: meta[key] for key in meta if key != "schema"})
+    with pytest.raises(UserError, match="lacks the state"):
+        train_policy("walk", replace(config, steps=5 * BATCH), quiet=True)
+
+
 def test_resuming_with_another_number_of_robots(config):
     folder = train_policy("walk", config, quiet=True)
     (folder / "DONE").unlink()
-    with pytest.raises(UserError, match="was trained with 4 robots, not 6"):
+    with pytest.raises(UserError, match="started with ppo.num-envs 4, not 6"):
         train_policy("walk", replace(config, steps=5 * BATCH, ppo=replace(TINY, num_envs=6)), quiet=True)
 
 
@@ -257,7 +311,7 @@ def test_damaged_shipped_weights_are_not_trained_anew(config, monkeypatch):
 @pytest.mark.parametrize("name, mirror", [("ps-rl-3-env", False), ("ps-sl-5", False), ("walk", True)])
 def test_a_clock_is_refused_where_nothing_can_use_it(config, name, mirror):
     env, ppo = replace(config.env, gait_clock=2.0), replace(TINY, mirror=mirror)
-    with pytest.raises(UserError, match=r"env\.gait-clock is for skills"):
+    with pytest.raises(UserError, match=r"env\.gait-clock (and ppo\.mirror are for skills|does not go)"):
         train_policy(name, replace(config, env=env, ppo=ppo), quiet=True)
 
 
@@ -301,7 +355,7 @@ def test_a_held_selector_run_counts_control_steps(config, tmp_path, finished_run
     train_policy("ps-rl-3-env", replace(config, steps=400), quiet=True)
     assert steps_of(folder) == [128, 256, 384, 512]
     (folder / "DONE").unlink()
-    with pytest.raises(UserError, match="decides every 4 steps"):
+    with pytest.raises(UserError, match="started with selector.decision-steps 4, not 2"):
         train_policy("ps-rl-3-env", replace(config, selector=SelectorConfig(decision_steps=2)), quiet=True)
 
 
