@@ -240,7 +240,7 @@ def test_weights_that_can_only_act_are_not_trained_further(config):
 def test_resuming_with_another_number_of_robots(config):
     folder = train_policy("walk", config, quiet=True)
     (folder / "DONE").unlink()
-    with pytest.raises(UserError, match="started with ppo.num-envs 4, not 6"):
+    with pytest.raises(UserError, match=r"started with ppo\.num-envs 4, not 6"):
         train_policy("walk", replace(config, steps=5 * BATCH, ppo=replace(TINY, num_envs=6)), quiet=True)
 
 
@@ -355,7 +355,7 @@ def test_a_held_selector_run_counts_control_steps(config, tmp_path, finished_run
     train_policy("ps-rl-3-env", replace(config, steps=400), quiet=True)
     assert steps_of(folder) == [128, 256, 384, 512]
     (folder / "DONE").unlink()
-    with pytest.raises(UserError, match="started with selector.decision-steps 4, not 2"):
+    with pytest.raises(UserError, match=r"started with selector\.decision-steps 4, not 2"):
         train_policy("ps-rl-3-env", replace(config, selector=SelectorConfig(decision_steps=2)), quiet=True)
 
 
