@@ -18,7 +18,7 @@ from agility_ref.policies import ENVIRONMENTS, POLICIES, find_policy
 def diagnose(argv: list[str]) -> None:
     """Diagnose one selector."""
     from agility_ref.evaluate import EvaluationConfig, evaluation_world
-    from agility_ref.runs import TrainConfig
+    from agility_ref.runs import TrainConfig, existing
 
     @dataclass(frozen=True)
     class Diagnose:
@@ -31,7 +31,7 @@ def diagnose(argv: list[str]) -> None:
         config: Annotated[EvaluationConfig, tyro.conf.arg(name="")] = field(default_factory=EvaluationConfig)
         train_seed: int = 0
         """Training seed of the weights."""
-        out: str = ""
+        runs: str = ""
         """Folder of runs to look in before the shipped weights; runs/<preset> by default."""
         results: str = "results"
         """Folder for the figures, as PNG and SVG."""
@@ -49,7 +49,7 @@ def diagnose(argv: list[str]) -> None:
         raise UserError(f"diagnose plays complete episodes; --protocol {args.config.protocol} has none to compare")
     for environment in args.environment:
         evaluation_world(environment, args.config)  # named before the weights are looked for
-    training = TrainConfig(preset=args.config.preset, seed=args.train_seed, out=args.out)
+    training = TrainConfig(preset=args.config.preset, seed=args.train_seed, out=existing(args.runs))
     traces, reports = _play(spec.name, args.environment, args.config, training)
 
     paths = _draw(traces, Path(args.results), shlex.join(["agility-ref", "diagnose", *argv]))

@@ -97,6 +97,9 @@ def plot_curves(argv: list[str]) -> None:
     args = tyro.cli(Curves, args=argv[2:], prog="agility-ref plot curves")
     if not args.runs:
         raise UserError("name at least one run folder")
+    policies = {Path(run).parent for run in args.runs}
+    alone = len({policy.name for policy in policies}) == len(policies)
+    labels = {policy: policy.name if alone else str(policy) for policy in policies}
     found: dict[str, list[Path]] = {}
     points: dict[str, list[dict]] = {}
     for run in map(Path, args.runs):
@@ -104,9 +107,10 @@ def plot_curves(argv: list[str]) -> None:
             raise UserError(f"{run} holds no progress.csv")
         if "waypoint_fraction" not in read_progress(run / "progress.csv"):
             raise UserError(f"{run} was trained by supervision: it has no returns to draw")
-        found.setdefault(run.parent.name, []).append(run / "progress.csv")
+        label = labels[run.parent]
+        found.setdefault(label, []).append(run / "progress.csv")
         if args.evaluate:
-            points.setdefault(run.parent.name, []).append(_evaluation_point(run, args.evaluate, args.episodes))
+            points.setdefault(label, []).append(_evaluation_point(run, args.evaluate, args.episodes))
     _save(learning_curves(found, points), Path(args.out), argv)
 
 

@@ -92,7 +92,11 @@ def switches_per_second(skill: np.ndarray, dt: float) -> np.ndarray:
 
 
 def commonest_share(skill: np.ndarray) -> np.ndarray:
-    """Share of the episode's steps that its commonest skill took, 1 for a collapse: (T, N) -> (N,)."""
+    """Share of each episode's steps that its own commonest skill took: (T, N) -> (N,).
+
+    A course of one obstacle may rightly be played by one skill; :func:`agility_ref.diagnosis.commonest`
+    pools all episodes.
+    """
     counts = np.stack([(skill == k).sum(axis=0) for k in range(skill.max() + 1)])
     return counts.max(axis=0) / counts.sum(axis=0)
 
@@ -175,7 +179,7 @@ def mean_std(values: np.ndarray, metric: str, protocol: str) -> tuple[float, flo
     return float(values.mean()), std
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)  # all kinds of course
 def evaluation_world(environment: str, config: EvaluationConfig) -> World:
     """Build the courses of an evaluation; the same for every policy.
 
@@ -187,6 +191,8 @@ def evaluation_world(environment: str, config: EvaluationConfig) -> World:
         raise unknown_name("environment", environment, COURSE_KINDS)
     if config.protocol not in PROTOCOLS:
         raise unknown_name("protocol", config.protocol, PROTOCOLS)
+    if config.seed < 0:
+        raise UserError(f"seed must be at least 0, not {config.seed}")
     if config.episodes < 1:
         raise UserError(f"episodes must be at least 1, not {config.episodes}")
     if config.difficulty is not None and not 0.0 <= config.difficulty <= 1.0:

@@ -16,6 +16,7 @@ import numpy as np
 
 from agility_ref.cells import Cells, seeds_of
 from agility_ref.evidence import Evidence, gather
+from agility_ref.policies import find_policy
 from agility_ref.progress import write_text
 from agility_ref.runs import TrainConfig
 from agility_ref.verdicts import Comparison, Finding, markdown, over_seeds, paired
@@ -35,6 +36,7 @@ FOREIGN = {
     "climb": ("climb-up", "climb-down", "leap", "beam", "walk"),
 }
 BASELINE, NO_CURRICULUM, ACTION_STACKING = "baseline", "no-curriculum", "action-repeat"
+SEEN = "The learned selectors have trained on Climb+Gap courses, their skills and the generalists on climbing and leaping apart."
 
 
 # ---------------------------------------------------------------------------- section 4.3, selectors and generalists
@@ -53,7 +55,7 @@ def generalists_win_on_climb_gap(e: Evidence) -> Finding:
     """Judge "the generalist outperforms in more difficult and dynamic terrains (Climb+Gap)"."""
     return Finding(
         "The generalists outperform Oracle and PS-SL-5 on Climb+Gap.", "section 4.3",
-        "Waypoint fraction of each generalist minus that of each selector.",
+        f"Waypoint fraction of each generalist minus that of each selector.  {SEEN}",
         tuple(e.compare((g, "climb-gap"), (s, "climb-gap")) for g, s in product(GENERALISTS, SELECTORS)),
     )  # fmt: skip
 
@@ -71,7 +73,7 @@ def rl_selector_wins_waypoints_on_climb_gap(e: Evidence) -> Finding:
     """Judge "the RL+PPO-based Selector outperforms the generalist in reaching waypoints in the hardest terrain"."""
     return Finding(
         "PS-RL-3 reaches more waypoints than PS-SL-5 and the generalists on Climb+Gap.", "section 4.3 and Table 1",
-        "Waypoint fraction of PS-RL-3 minus that of each of the others.",
+        f"Waypoint fraction of PS-RL-3 minus that of each of the others.  {SEEN}",
         tuple(e.compare(("ps-rl-3", "climb-gap"), (p, "climb-gap")) for p in ("ps-sl-5", *GENERALISTS)),
     )  # fmt: skip
 
@@ -145,17 +147,22 @@ def other_terrains_are_equally_hard(e: Evidence) -> Finding:
 def _level_differences(e: Evidence, generalist: str, late: bool) -> np.ndarray:
     """Level of the generalist minus the mean level of the specialists that it replaces, (S,).
 
-    Early: all after the same number of steps, warm start included.  Late: each at its end.
+    The generalist's is that on the courses of those specialists.  Early: all after the same
+    number of steps, warm start included.  Late: each at its end.
     """
     names, found = (generalist, *REPLACED[generalist]), []
     for seed in sorted({seed for _, seed in e.curves}):
         if not all((name, seed) in e.curves for name in names):
             continue
-        curves = [e.curves[name, seed] for name in names]
-        start, end = max(c["steps"][0] for c in curves), min(c["steps"][-1] for c in curves[1:])
+        own, *curves = (e.curves[name, seed] for name in names)
+        kinds = [f"level_{find_policy(name).courses[0]}" for name in names[1:]]
+        if not all(kind in own for kind in kinds):
+            continue
+        start, end = max(c["steps"][0] for c in (own, *curves)), min(c["steps"][-1] for c in curves)
         at = start + EARLY * (end - start)
-        levels = [c["level"][-1] if late else np.interp(at, c["steps"], c["level"]) for c in curves]
-        found.append(levels[0] - np.mean(levels[1:]))
+        pairs = [((own["steps"], own[kind]), (c["steps"], c["level"])) for kind, c in zip(kinds, curves, strict=True)]
+        levels = [[level[-1] if late else np.interp(at, steps, level) for steps, level in pair] for pair in pairs]
+        found.append(np.mean([generalist_level - level for generalist_level, level in levels]))
     return np.array(found)
 
 
@@ -164,7 +171,7 @@ def generalists_learn_faster_early(e: Evidence) -> Finding:
     return Finding(
         "Generalists learn faster early.", "abstract",
         f"Level of the curriculum after {EARLY:.0%} of the shortest specialist's training, all after the same number of "
-        "steps: the generalist's minus the mean of the specialists that it replaces.  Its level includes easy ground.",
+        "steps: the generalist's on their courses minus the mean of the specialists that it replaces.",
         tuple(over_seeds(f"{g}: early level", _level_differences(e, g, late=False)) for g in REPLACED),
     )  # fmt: skip
 
@@ -173,8 +180,8 @@ def generalists_plateau_below(e: Evidence) -> Finding:
     """Judge "its performance tends to plateau at a suboptimal level"."""
     return Finding(
         "Generalists plateau below the specialists.", "abstract",
-        "Level of the curriculum at the end of training: the mean of the specialists minus the generalist's, which has "
-        "spent as many steps as all of them together.",
+        "Level of the curriculum at the end of training: the mean of the specialists minus the generalist's on their "
+        "courses, after as many steps as all of them together.",
         tuple(over_seeds(f"{g}: final level", -_level_differences(e, g, late=True)) for g in REPLACED),
     )  # fmt: skip
 

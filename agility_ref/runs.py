@@ -79,6 +79,18 @@ class TrainConfig:
         return Path(self.out or f"runs/{self.preset}")
 
 
+def existing(folder: str) -> str:
+    """Return a folder of runs that must be there; "" stands for the default, which need not be.
+
+    Raises
+    ------
+    UserError : there is no such folder
+    """
+    if folder and not Path(folder).is_dir():
+        raise UserError(f"no folder of runs at {folder}")
+    return folder
+
+
 def run_folder(root: Path, policy: str, seed: int) -> Path:
     """Return the folder of one run."""
     return Path(root) / find_policy(policy).name / f"seed{seed}"
@@ -320,7 +332,8 @@ def _resume_or_warm_start(
     saved = folder / "policy.npz"
     if saved.exists():
         arrays, meta = checkpoint.load(saved)
-        began, now = _flat(meta.get("config", {})), _flat(json.loads(json.dumps(asdict(config))))
+        began = {"preset": meta.get("preset", config.preset)} | _flat(meta.get("config", {}))
+        now = _flat(json.loads(json.dumps(asdict(config))))
         for key, ours in now.items():
             if key not in ("steps", "out", "overwrite") and began.get(key, ours) != ours:
                 raise UserError(

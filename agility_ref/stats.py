@@ -11,6 +11,9 @@ from functools import lru_cache
 
 import numpy as np
 
+# 97.5 % quantiles of Student's t with 1, 2, ... degrees of freedom; the last serves all above.
+T_975 = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201)
+
 
 def iqm(scores: np.ndarray, axis: int | None = None) -> float | np.ndarray:
     """Interquartile mean: the mean without the lowest and the highest quarter.
@@ -35,7 +38,7 @@ def _resamples(num_seeds: int, episodes: int, resamples: int, seed: int) -> np.n
     """
     rng = np.random.default_rng(seed)
     rows = rng.integers(0, num_seeds, (resamples, num_seeds, 1))
-    columns = rng.integers(0, episodes, (resamples, num_seeds, episodes))
+    columns = rng.integers(0, episodes, (resamples, 1, episodes))  # every training seed plays the same courses
     drawn = (rows * episodes + columns).reshape(resamples, -1)
     drawn.flags.writeable = False
     return drawn
@@ -52,10 +55,12 @@ def bootstrap_interval(
 
     Parameters
     ----------
-    scores : (S, E) one row a training seed.  Rows are resampled first, then episodes within
-        each row drawn, so that the spread between seeds counts and a row never mixes with
-        another.  With one seed the interval covers the episodes alone; with few, resampling
-        knows little of the spread between them and the interval is rather too short.
+    scores : (S, E) one row a training seed, one column an episode that all of them play.  Rows
+        and columns are resampled, each as a whole: a hard course is hard for every seed, and
+        drawing it anew for each would count one chance several times.  With one seed the
+        interval covers the episodes alone.  With few it is too short, for resampling knows
+        little of the spread between them: where only seeds differ, an interval of "95 %" covers
+        about 67 % with 2 seeds, 80 % with 3 and 90 % with 5.
     statistic : takes an array and ``axis``, such as iqm and np.mean
     level : coverage
     """
@@ -71,6 +76,19 @@ def paired_difference(a: np.ndarray, b: np.ndarray, level: float = 0.95, seed: i
     difference = np.atleast_2d(a) - np.atleast_2d(b)
     low, high = bootstrap_interval(difference, np.mean, level, seed=seed)
     return float(difference.mean()), low, high
+
+
+def t_interval(values: np.ndarray) -> tuple[float, float]:
+    """95 % interval of the mean of a few independent values (S,), by Student's t; infinite for one.
+
+    >>> [round(x, 3) for x in t_interval(np.array([1.0, 2.0, 3.0]))]
+    [-0.484, 4.484]
+    """
+    # mean +- t_{S - 1} s / sqrt(S), s with S - 1 in its denominator
+    n = len(values)
+    t = T_975[min(n - 2, len(T_975) - 1)] if n > 1 else np.inf
+    half = t * np.std(values, ddof=1) / np.sqrt(n) if n > 1 else np.inf
+    return float(np.mean(values) - half), float(np.mean(values) + half)
 
 
 def wilson_interval(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:

@@ -44,7 +44,7 @@ class Summary:
     iqm: dict[str, Interval]
     """metric -> interquartile mean with its stratified bootstrap interval; empty as published."""
     success: Interval | None
-    """Share of episodes that reach all 8 waypoints, with its Wilson interval; None as published."""
+    """Share of episodes that reach all 8 waypoints, with Wilson's interval for one seed; None as published."""
     steps: int
     """Environment steps spent on the policy, the mean over seeds."""
     seeds: tuple[int, ...]
@@ -113,6 +113,7 @@ def seeds_with_weights(policy: str, training: TrainConfig) -> tuple[int, ...]:
     found = []
     for name in acting_policies(policy):
         own = {path.parent.name for path in (training.root / name).glob("seed*/DONE")}
+        own = {folder for folder in own if folder.removeprefix("seed").isdecimal()}
         shipped = {path.stem.rpartition("-")[2] for path in weights.FOLDER.glob(f"{name}-{training.preset}-seed*.npz")}
         found.append({int(seed.removeprefix("seed")) for seed in own | shipped})
     return tuple(sorted(set.intersection(*found))) or (0,)
@@ -186,7 +187,9 @@ def summarise(cells: list[Cell]) -> Summary:
     intervals, success = {}, None
     if protocol == "complete":  # as published, seeds differ in their number of episodes
         intervals = {m: (iqm(np.stack(v)), *bootstrap_interval(np.stack(v))) for m, v in scores.items()}
-        reached = np.concatenate(scores["waypoint_fraction"]) == 1.0
-        success = (float(reached.mean()), *wilson_interval(int(reached.sum()), len(reached)))
+        reached = np.stack(scores["waypoint_fraction"]) == 1.0
+        # Wilson's interval needs independent trials: those of one seed are, several seeds share their courses.
+        one_seed = wilson_interval(int(reached.sum()), reached.size)
+        success = (float(reached.mean()), *(one_seed if len(cells) == 1 else bootstrap_interval(reached, np.mean)))
     steps = round(float(np.mean([cell.steps for cell in cells])))
     return Summary(pooled, intervals, success, steps, tuple(cell.seed for cell in cells))

@@ -22,12 +22,13 @@ from math import isnan, nan
 
 import numpy as np
 
-from agility_ref.stats import paired_difference
+from agility_ref.stats import paired_difference, t_interval
 
 REPRODUCED, NOT_REPRODUCED = "reproduced", "not reproduced"
 UNDECIDED, NOT_MEASURED = "undecided", "not measured"
 ONE_SEED = "the intervals cover the episodes alone.  Another training could turn any of them round."
 MIN_SEEDS = 3  # an interval over training seeds alone needs this many
+MIN_EPISODES = 10  # ... and one over episodes this many
 
 
 @dataclass(frozen=True)
@@ -105,18 +106,24 @@ def paired(
         return Comparison(text, paper=paper, margin=margin)
     a = np.atleast_2d(a)
     difference, low, high = paired_difference(a, np.broadcast_to(b, a.shape))
+    if a.shape[1] < MIN_EPISODES:
+        low = high = nan
     return Comparison(text, difference, low, high, len(a), paper, margin)
 
 
 def over_seeds(text: str, differences: np.ndarray) -> Comparison:
-    """Judge one difference a training seed, (S,) or (S, P); without MIN_SEEDS of them there is no interval."""
+    """Judge one difference a training seed, (S,), or (S, P) of which the mean over P counts.
+
+    The interval is Student's; without MIN_SEEDS seeds there is none.
+    """
     differences = np.asarray(differences, float)
     if not differences.size:
         return Comparison(text)
     if len(differences) < MIN_SEEDS:
         few = f"{text}, {len(differences)} of {MIN_SEEDS} seeds"
         return Comparison(few, float(differences.mean()), seeds=len(differences))
-    return paired(text, differences.reshape(len(differences), -1))
+    means = differences.reshape(len(differences), -1).mean(axis=1)
+    return Comparison(text, float(means.mean()), *t_interval(means), seeds=len(means))
 
 
 # ---------------------------------------------------------------------------- as text
@@ -131,7 +138,7 @@ def text(findings: Iterable[Finding]) -> str:
         lines += ["", f"{finding.verdict.upper()}: {finding.claim} ({finding.section})"]
         for c in finding.comparisons:
             paper = "" if isnan(c.paper) else f"paper {c.paper:+.2f}"
-            lines.append(f"    {c.text:{width}}  {c!s:24} {c.verdict:15} {paper}".rstrip())
+            lines.append(f"    {c.text:{width}}  {c!s:24} {c.verdict:15} {c.seeds:2} seeds  {paper}".rstrip())
     if most_seeds(findings) == 1:
         lines += ["", f"One training seed: {ONE_SEED}"]
     return "\n".join(lines[1:])
@@ -151,8 +158,9 @@ def markdown(findings: Iterable[Finding], caption: str) -> str:
         "A difference is **reproduced** if its 95 % interval lies entirely on the side that the paper claims, **not "
         "reproduced** if it lies entirely on the other, **undecided** if it covers 0.  A claim that says *and* needs all its "
         "comparisons and falls with one; a claim that says *or* needs one and falls with all.  Differences are paired episode "
-        "by episode, intervals are bootstrapped over training seeds and episodes, 95 % each without correction for their "
-        "number.  *Paper* is the same difference of the means that the paper prints, without an interval.",
+        "by episode, intervals are bootstrapped over training seeds and episodes (Student's where there is one number a "
+        "seed), 95 % each without correction for their number; with fewer than five seeds the bootstrapped ones are too "
+        "short (`agility_ref/stats.py`).  *Seeds* are training seeds; one seed says nothing about another.  *Paper* is the same difference of the means that the paper prints, without an interval.",
         "",
     ]
     if most_seeds(findings) == 1:
@@ -161,8 +169,9 @@ def markdown(findings: Iterable[Finding], caption: str) -> str:
     parts += [f"| {f.verdict} | {f.claim} | {f.section} |" for f in findings]
     for f in findings:
         parts += ["", f"## {f.claim}", "", f"{f.section}.  {f.measure}  **{f.verdict.capitalize()}.**", ""]
-        parts += ["| comparison | ours | verdict | paper |", "|---|---|---|---|"]
+        parts += ["| comparison | ours | seeds | verdict | paper |", "|---|---|---|---|---|"]
         parts += [
-            f"| {c.text} | {c} | {c.verdict} | {'-' if isnan(c.paper) else f'{c.paper:+.2f}'} |" for c in f.comparisons
+            f"| {c.text} | {c} | {c.seeds} | {c.verdict} | {'-' if isnan(c.paper) else f'{c.paper:+.2f}'} |"
+            for c in f.comparisons
         ]
     return "\n".join(parts) + "\n"

@@ -71,6 +71,8 @@ def frames(episode: Episode, config: VideoConfig = VideoConfig()) -> Iterator[np
     for what in ("fps", "speed", "seconds"):
         if not getattr(config, what) > 0:
             raise UserError(f"{what} must be above 0, got {getattr(config, what)}")
+    if config.start < 0:
+        raise UserError(f"start must be at least 0, got {config.start}")
     model = make_scene(episode.course)
     data = mujoco.MjData(model)
     camera = mujoco.MjvCamera()

@@ -16,7 +16,7 @@ import numpy as np
 from agility_ref import checkpoint
 from agility_ref.errors import UserError
 from agility_ref.policies import POLICIES, find_policy
-from agility_ref.progress import read_progress
+from agility_ref.progress import read_progress, write_text
 
 WARM_STARTS = {spec.warm_start for spec in POLICIES.values()}
 FOLDER = Path(str(resources.files("agility_ref") / "weights"))
@@ -30,9 +30,17 @@ def file_name(preset: str, policy: str, seed: int) -> str:
 
 
 def manifest(folder: Path = FOLDER) -> dict[str, dict]:
-    """Read the manifest: file name -> digest and training record."""
+    """Read the manifest: file name -> digest and training record.
+
+    Raises
+    ------
+    UserError : it is damaged
+    """
     path = folder / "manifest.json"
-    return json.loads(path.read_text()) if path.exists() else {}
+    try:
+        return json.loads(path.read_text()) if path.exists() else {}
+    except ValueError as error:
+        raise UserError(f"{path} is damaged ({error}); reinstall the package") from None
 
 
 def shipped(preset: str, policy: str, seed: int, folder: Path = FOLDER) -> Path | None:
@@ -76,7 +84,7 @@ def ship(run: Path, folder: Path = FOLDER) -> Path:
     progress = read_progress(run / "progress.csv")
     curve = {key: _thin(v) for key, v in progress.items() if key in CURVE_COLUMNS or key.startswith("level_")}
     entries = manifest(folder) | {path.name: {"sha256": checkpoint.sha256(path), **record, "curve": curve}}
-    (folder / "manifest.json").write_text(json.dumps(entries, sort_keys=True) + "\n")
+    write_text(folder / "manifest.json", json.dumps(entries, sort_keys=True) + "\n")
     return path
 
 

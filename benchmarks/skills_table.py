@@ -21,10 +21,11 @@ from agility_ref.errors import UserError
 from agility_ref.evaluate import Evaluation, EvaluationConfig, evaluate, evaluation_world
 from agility_ref.policies import POLICIES, find_policy, find_preset
 from agility_ref.progress import write_csv
-from agility_ref.runs import TrainConfig, weights_path
+from agility_ref.runs import TrainConfig, load_skill, weights_path
 from agility_ref.selector import Single
 from agility_ref.stats import paired_difference
 from agility_ref.table1 import seeds_with_weights
+from agility_ref.task import EnvConfig
 
 SKILLS = tuple(name for name, spec in POLICIES.items() if spec.method == "ppo")
 SPECIALISTS = {POLICIES[name].courses[0]: name for name in SKILLS if len(POLICIES[name].courses) == 1}
@@ -71,7 +72,7 @@ def load(config: Config) -> dict[tuple[str, int], Policy]:
                 missing = error
                 print(f"missing: {error}", file=sys.stderr)
             else:
-                found[name, seed] = Policy.load(path)
+                found[name, seed] = load_skill(path, EnvConfig())
     if missing and not found:
         raise missing
     return found

@@ -5,14 +5,16 @@
 Both learn the quick walk from scratch: the same robots and courses, two separate ELU
 networks of the same widths, the same batch, minibatches, epochs, discount and clipping.
 What stays each library's own: our KL-adaptive learning rate against its constant one, our
-hand-scaled scandots against its ``VecNormalize``.  They take turns, a few iterations each,
-and each has its own clock.
+hand-scaled scandots against its ``VecNormalize``, advantages normalised over the batch against
+over each minibatch, gradients of actor and critic clipped apart against together.  Neither has
+a schedule for the exploration noise.  They take turns, a few iterations each, and each has its
+own clock.
 """
 
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import islice
 
 import numpy as np
@@ -76,7 +78,7 @@ class Race:
 
 def our_turns(race: Race, config: Config) -> Callable[[], None]:
     """Return a function that trains ours for one turn."""
-    ppo = PPOConfig()
+    ppo = replace(PPOConfig(), final_std=PPOConfig().init_std, anneal_share=0.0)
     env, _ = walk_training(config.seed, ppo.num_envs)
     learner = Learner.create(OBS_DIM, ACTION_DIM, ppo, config.seed, fixed=SCANDOTS)
     iterations = train(env, learner, config.steps)

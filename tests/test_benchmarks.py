@@ -216,10 +216,10 @@ SMALL = ablations.Config(
 def test_ablations_resume_and_collect(tiny, tmp_path, capsys, monkeypatch):
     config = replace(SMALL, runs=str(tmp_path / "runs"), out=str(tmp_path / "results"))
     ablations.main(config)
-    rows = read_ablations(tmp_path / "results" / "ablations.csv")
+    rows = read_ablations(tmp_path / "results" / "ablations-quick.csv")
     steps = {name: [r["steps"] for r in rows if r["ablation"] == name] for name in config.only}
     assert steps == {"baseline": [64, 128], "from-scratch": [0, 64, 128], "no-curriculum": [64, 128]}
-    assert (tmp_path / "results" / "ablations.png").exists()
+    assert (tmp_path / "results" / "ablations-quick.png").exists()
     assert (config.root / "baseline" / "warm-start" / "walk" / "seed0" / "DONE").exists()
     assert not (config.root / "from-scratch" / "warm-start").exists()
 
@@ -232,7 +232,7 @@ def test_ablations_resume_and_collect(tiny, tmp_path, capsys, monkeypatch):
     with pytest.raises(AssertionError, match="trained again"):
         ablations.main(config)
     ablations.main(replace(config, collect=True))
-    assert {r["ablation"] for r in read_ablations(tmp_path / "results" / "ablations.csv")} == set(config.only[1:])
+    assert {r["ablation"] for r in read_ablations(tmp_path / "results" / "ablations-quick.csv")} == set(config.only[1:])
 
 
 def test_runs_of_another_recipe_are_refused(tiny, tmp_path, monkeypatch):
@@ -247,6 +247,8 @@ def test_runs_of_another_recipe_are_refused(tiny, tmp_path, monkeypatch):
 def test_an_unknown_ablation_is_named(tmp_path):
     with pytest.raises(UserError, match="did you mean no-curriculum"):
         ablations.main(replace(SMALL, only=("no-curiculum",), runs=str(tmp_path)))
+    with pytest.raises(UserError, match="nothing to train after 64 of the warm start"):
+        ablations.main(replace(SMALL, steps=64, runs=str(tmp_path)))
     with pytest.raises(UserError, match="no finished run"):
         ablations.main(replace(SMALL, collect=True, runs=str(tmp_path)))
 

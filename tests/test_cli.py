@@ -64,7 +64,7 @@ def test_bad_input_is_one_line(refuses, command, expected):
 ])  # fmt: skip
 def test_bad_evaluations_are_one_line(refuses, tmp_path, finished_run, command, expected):
     finished_run(tmp_path, "walk")
-    refuses(f"evaluate walk --out {tmp_path} {command}", *expected)
+    refuses(f"evaluate walk --runs {tmp_path} {command}", *expected)
 
 
 def test_unknown_environment_is_named_without_weights(refuses):
@@ -105,7 +105,7 @@ def damage_text(path):
 def test_damaged_checkpoints_are_one_line(refuses, tmp_path, finished_run, damage):
     path = finished_run(tmp_path, "walk") / "policy.npz"
     damage(path)
-    refuses(f"evaluate walk --environment gap --out {tmp_path}", str(path))
+    refuses(f"evaluate walk --environment gap --runs {tmp_path}", str(path))
 
 
 def test_a_damaged_checkpoint_cannot_be_resumed(refuses, tmp_path, finished_run):
@@ -117,13 +117,13 @@ def test_a_damaged_checkpoint_cannot_be_resumed(refuses, tmp_path, finished_run)
 
 def test_a_checkpoint_of_another_shape(refuses, tmp_path, finished_run):
     finished_run(tmp_path, "walk", obs_dim=48)
-    refuses(f"evaluate walk --environment gap --out {tmp_path}", "48 -> 12")
+    refuses(f"evaluate walk --environment gap --runs {tmp_path}", "48 -> 12")
 
 
-def test_resuming_from_another_shape(refuses, tmp_path, finished_run):
+def test_resuming_what_was_never_trained_here(refuses, tmp_path, finished_run):
     (finished_run(tmp_path, "walk") / "DONE").unlink()  # one hidden layer of 16 units
     (tmp_path / "walk" / "seed0" / "progress.csv").write_text("steps,wall_seconds\n")
-    refuses(f"train walk --out {tmp_path} --ppo.num-envs 2 --curriculum.num-levels 1 --steps 5000", "shape")
+    refuses(f"train walk --out {tmp_path} --ppo.num-envs 2 --curriculum.num-levels 1 --steps 5000", "lacks the state")
 
 
 def test_resuming_under_another_preset(refuses, tmp_path, finished_run):
@@ -163,7 +163,7 @@ def short_episodes(monkeypatch):
 
 def test_evaluate_prints_one_json_object(capsys, tmp_path, finished_run, short_episodes):
     finished_run(tmp_path, "walk")
-    assert main(f"evaluate walk --environment gap --episodes 2 --out {tmp_path} --json".split()) == 0
+    assert main(f"evaluate walk --environment gap --episodes 2 --runs {tmp_path} --json".split()) == 0
     out = capsys.readouterr().out
     assert out.count("\n") == 1
     summary = json.loads(out)
@@ -174,7 +174,7 @@ def test_evaluate_prints_one_json_object(capsys, tmp_path, finished_run, short_e
 
 def test_evaluate_prints_the_four_metrics(capsys, tmp_path, finished_run, short_episodes):
     finished_run(tmp_path, "walk")
-    assert main(f"evaluate walk --environment gap --episodes 2 --out {tmp_path}".split()) == 0
+    assert main(f"evaluate walk --environment gap --episodes 2 --runs {tmp_path}".split()) == 0
     out = capsys.readouterr().out
     assert all(metric in out for metric in METRICS)
 
@@ -190,7 +190,7 @@ def test_train_prints_its_folder(capsys, tmp_path):
 
 
 def test_table1_with_nothing_trained(capsys, tmp_path):
-    assert main(f"table1 --out {tmp_path} --results {tmp_path / 'results'} --episodes 1".split()) == 0
+    assert main(f"table1 --runs {tmp_path} --results {tmp_path / 'results'} --episodes 1".split()) == 0
     out = capsys.readouterr().out
     assert "0 of 43 cells filled, and 0 of 8 beyond the paper" in out and "missing: no weights for" in out
     assert (tmp_path / "results" / "table1.md").exists()

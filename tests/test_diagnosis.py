@@ -174,7 +174,7 @@ def weights(monkeypatch, tmp_path, finished_run):
 
 @pytest.mark.parametrize("policy, skills", [("oracle", 5), ("ps-sl-5", 5), ("ps-rl-3", 3)])
 def test_diagnose_prints_one_json_object(weights, capsys, policy, skills, tmp_path):
-    assert main(f"diagnose {policy} --environment gap beam --episodes 2 --out runs --json".split()) == 0
+    assert main(f"diagnose {policy} --environment gap beam --episodes 2 --runs runs --json".split()) == 0
     out = capsys.readouterr().out
     assert out.count("\n") == 1
     report = json.loads(out)
@@ -186,7 +186,7 @@ def test_diagnose_prints_one_json_object(weights, capsys, policy, skills, tmp_pa
 
 
 def test_diagnose_prints_a_report(weights, capsys):
-    assert main("diagnose ps-sl-5 --environment climb --episodes 2 --out runs".split()) == 0
+    assert main("diagnose ps-sl-5 --environment climb --episodes 2 --runs runs".split()) == 0
     out = capsys.readouterr().out
     for text in ("accuracy", "switches", "commonest skill", "regret", "abandoned leap", "kicked back", "results/"):
         assert text in out
@@ -199,7 +199,7 @@ def test_diagnose_prints_a_report(weights, capsys):
     ("oracle --environment gaps", ["unknown environment 'gaps'"]),
     ("oracle --episodes 0", ["episodes", "0"]),
     ("oracle --protocol as-published", ["as-published"]),
-    ("ps-rl-3-env --environment gap --episodes 1 --out nowhere", ["no weights for"]),
+    ("ps-rl-3-env --environment gap --episodes 1 --runs nowhere", ["no folder of runs at nowhere"]),
 ])  # fmt: skip
 def test_bad_input_is_one_line(weights, capsys, command, expected):
     assert main(["diagnose", *command.split()]) == 2

@@ -163,7 +163,11 @@ def make_curves(generalist, specialist, seeds=3):
         for name in ("climb", "leap", "climb-up", "climb-down", "beam"):
             curves[name, seed] = {"steps": np.arange(100.0, 600.0, 100.0), "level": np.array(specialist) + 0.01 * seed}
         for name in ("gen-3", "gen-5"):
-            curves[name, seed] = {"steps": np.arange(100.0, 1000.0, 100.0), "level": np.array(generalist)}
+            # The level of all kinds together counts its easy ground and is not looked at.
+            levels = {
+                f"level_{kind}": np.array(generalist) for kind in ("climb", "gap", "climb-up", "climb-down", "beam")
+            }
+            curves[name, seed] = {"steps": np.arange(100.0, 1000.0, 100.0), "level": np.ones(9)} | levels
     return curves
 
 

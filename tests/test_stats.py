@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import agility_ref
-from agility_ref.stats import bootstrap_interval, iqm, paired_difference, wilson_interval
+from agility_ref.stats import bootstrap_interval, iqm, paired_difference, t_interval, wilson_interval
 
 
 def modules():
@@ -58,15 +58,16 @@ def test_bootstrap_frozen_values():
     scores = np.array([[0.0, 1.0, 2.0, 3.0], [1.0, 2.0, 3.0, 10.0]])
     assert iqm(scores) == 2.0  # 0 1 | 1 2 2 3 | 3 10
     low, high = bootstrap_interval(scores)
-    assert (low, high) == pytest.approx((0.75, 5.75625), abs=1e-12)
+    assert (low, high) == pytest.approx((0.5, 6.5), abs=1e-12)
 
 
 def test_bootstrap_interval_of_a_known_distribution():
-    # Seeds (0, 1) and (10, 12), means.  The first seed is drawn twice with probability 1/4, and then
-    # the mean is 0 with 1/16 and 0.25 with 4/16: 1.6 % lie at 0, 7.8 % at or below 0.25, where the
-    # 2.5th percentile is.  Twice the second: 12 with 1.6 %, 11.5 at or above with 7.8 %.
+    # Seeds (0, 1) and (10, 12), means.  The first seed is drawn twice with probability 1/4 and its first
+    # episode twice with 1/4: 6.25 % of the resamples have a mean of 0, more than the 2.5 % below the
+    # interval.  As many have the second seed and its second episode alone.  (With episodes drawn anew for
+    # each seed it would be 1/4 x 1/16 = 1.6 %, and the interval 0.25 to 11.5.)
     scores = np.array([[0.0, 1.0], [10.0, 12.0]])
-    assert bootstrap_interval(scores, np.mean, resamples=20_000) == (0.25, 11.5)
+    assert bootstrap_interval(scores, np.mean, resamples=20_000) == (0.0, 12.0)
 
 
 def test_bootstrap_interval_agrees_with_a_loop():
@@ -74,8 +75,8 @@ def test_bootstrap_interval_agrees_with_a_loop():
     scores = np.random.default_rng(1).standard_normal((3, 12)) + np.arange(3)[:, None]
     rng, values = np.random.default_rng(2), []
     for _ in range(8000):
-        rows = [scores[s] for s in rng.choice(3, 3)]
-        values.append(iqm(np.concatenate([rng.choice(row, 12) for row in rows])))
+        columns = rng.choice(12, 12)
+        values.append(iqm(np.concatenate([scores[s][columns] for s in rng.choice(3, 3)])))
     assert bootstrap_interval(scores, resamples=8000) == pytest.approx(np.percentile(values, [2.5, 97.5]), abs=0.08)
 
 
@@ -108,7 +109,22 @@ def test_spread_between_seeds_counts():
     agree = np.tile(np.arange(8.0), (4, 1))
     disagree = np.sort(agree.ravel()).reshape(4, 8)
     widths = [np.diff(bootstrap_interval(s, np.mean))[0] for s in (agree, disagree)]
-    assert widths[1] > 1.5 * widths[0]
+    assert widths[1] > 1.3 * widths[0]
+
+
+def test_courses_shared_by_the_seeds_are_not_counted_once_a_seed():
+    # Seeds that agree to the last bit say no more than one of them.
+    one = np.random.default_rng(0).standard_normal((1, 30))
+    low, high = bootstrap_interval(one, np.mean)
+    assert bootstrap_interval(np.tile(one, (5, 1)), np.mean) == pytest.approx((low, high), abs=0.05)
+
+
+def test_t_interval_covers_the_mean_of_three():
+    # 95 % of 2000 triples; a percentile bootstrap of three would cover 75 %
+    rng = np.random.default_rng(0)
+    inside = [low < 0.0 < high for low, high in (t_interval(rng.standard_normal(3)) for _ in range(2000))]
+    assert 0.93 < np.mean(inside) < 0.97
+    assert t_interval(np.array([1.0])) == (-np.inf, np.inf)
 
 
 def test_paired_difference_by_hand():

@@ -217,7 +217,8 @@ def test_an_interrupted_table_goes_on(tmp_path, played, monkeypatch):
 
 
 def test_both_names_of_a_selector_show_its_cell(tmp_path, played, finished_run):
-    finished_run(tmp_path / "runs", "leap")
+    for name in ("climb", "leap"):
+        finished_run(tmp_path / "runs", name, start=1000)
     finished_run(tmp_path / "runs", "ps-rl-3-oracle", act_dim=3, steps=7)
     rows = {r.policy: r for r in table_rows(compute(tmp_path)[0]) if r.environment == "Gap"}
     assert rows["PS-RL-3"].ours == rows["PS-RL-3 (oracle)"].ours is not None

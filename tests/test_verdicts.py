@@ -51,10 +51,16 @@ def test_nothing_to_compare():
 
 def test_paired_by_hand():
     # 0.5 - 0.25, 0.625 - 0.25, 1 - 0.5: mean 0.375, and no resample leaves 0.25 to 0.5
-    comparison = paired("a - b", np.array([[0.5, 0.625, 1.0]]), np.array([[0.25, 0.25, 0.5]]), paper=0.1)
+    a, b = np.tile([[0.5, 0.625, 1.0]], 4), np.tile([[0.25, 0.25, 0.5]], 4)
+    comparison = paired("a - b", a, b, paper=0.1)
     assert comparison.difference == 0.375
     assert 0.25 <= comparison.low < 0.375 < comparison.high <= 0.5
     assert (comparison.verdict, comparison.seeds, comparison.paper) == (REPRODUCED, 1, 0.1)
+
+
+def test_few_episodes_leave_it_open():
+    comparison = paired("a - b", np.full((3, 9), 0.5), np.zeros((3, 9)))
+    assert comparison.difference == 0.5 and comparison.verdict == UNDECIDED and isnan(comparison.low)
 
 
 def test_paired_with_a_number():
@@ -64,7 +70,7 @@ def test_paired_with_a_number():
 
 @pytest.mark.parametrize("differences, verdict, mean", [
     ([], NOT_MEASURED, nan), ([0.4], UNDECIDED, 0.4), ([0.4, 0.2], UNDECIDED, 0.3),
-    ([0.4, 0.2, 0.3], REPRODUCED, 0.3), ([-0.4, -0.2, -0.3], NOT_REPRODUCED, -0.3), ([-0.4, 0.2, 0.2], UNDECIDED, 0.0),
+    ([0.4, 0.2, 0.3], REPRODUCED, 0.3), ([-0.4, -0.2, -0.3], NOT_REPRODUCED, -0.3), ([0.4, 0.1, 0.1], UNDECIDED, 0.2), ([-0.4, 0.2, 0.2], UNDECIDED, 0.0),
 ])  # fmt: skip
 def test_an_interval_over_seeds_needs_three(differences, verdict, mean):
     comparison = over_seeds("gen-3", np.array(differences))
@@ -120,7 +126,7 @@ def test_markdown_lists_claims_then_comparisons():
     assert page.startswith("# Findings of the paper: preset quick\n")
     lines = page.splitlines()
     assert "| undecided | A beats B. | section 9 |" in lines and "| not reproduced | A beats B. | section 9 |" in lines
-    assert "| yes | +0.20 [+0.10, +0.30] | reproduced | - |" in lines
+    assert "| yes | +0.20 [+0.10, +0.30] | 2 | reproduced | - |" in lines
     assert "section 9.  Measured so.  **Undecided.**" in lines
 
 
