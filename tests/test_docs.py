@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from agility_ref.observation import OBSERVATION, observation_slices
+from agility_ref.rewards import TERMS, RewardConfig
 
 ROOT = Path(__file__).parent.parent
 
@@ -14,6 +15,14 @@ def test_observation_table_is_that_of_the_code():
     rows = re.findall(r"^\| (\d+) \| (\d+) \| `(\w+)` \| (\d+) \| ([\d.]+) \|", table, re.M)
     documented = [(int(a), int(b), name, int(size), float(noise)) for a, b, name, size, noise in rows]
     assert documented == [(part.start, part.stop, n, *OBSERVATION[n]) for n, part in observation_slices().items()]
+
+
+def test_reward_table_is_that_of_the_code():
+    table = (ROOT / "docs" / "environment.md").read_text().partition("<!-- rewards:begin")[2]
+    rows = re.findall(r"^\| `(\w+)` \| (\S+) \| \S+ \| (.+) \|$", table, re.M)
+    assert {name: float(weight) for name, weight, _ in rows} == vars(RewardConfig())
+    for name, _, formula in rows:
+        assert formula.replace("&#124;", "|") == TERMS[name].__doc__.splitlines()[0].rstrip(".")
 
 
 @pytest.mark.parametrize("page", ["README.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))])
