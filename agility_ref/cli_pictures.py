@@ -32,7 +32,7 @@ class Play:
     clean: bool = False
     """Turn noise, pushes, payload and friction differences off."""
     course: int = 0
-    """Which course of that seed, counted from 0."""
+    """Which course of that seed, counted from 0; its friction, payload and start are drawn anew."""
     train_seed: int = 0
     """Training seed of the weights."""
     runs: str = ""
@@ -45,10 +45,11 @@ class Play:
     def load(self):
         """Return the policy and the evaluation's configuration."""
         from agility_ref.evaluate import EvaluationConfig
-        from agility_ref.runs import TrainConfig, load_policy
+        from agility_ref.runs import TrainConfig, existing, load_policy
 
         config = EvaluationConfig(seed=self.seed, preset=self.preset, difficulty=self.difficulty, clean=self.clean)
-        return load_policy(self.policy, TrainConfig(preset=self.preset, seed=self.train_seed, out=self.runs)), config
+        training = TrainConfig(preset=self.preset, seed=self.train_seed, out=existing(self.runs))
+        return load_policy(self.policy, training), config
 
     def record(self, courses: int = 1, robots: int = 1) -> list:
         """Play and return the episodes."""

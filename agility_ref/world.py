@@ -19,8 +19,10 @@ EDGE_DISTANCE = 0.05  # [m] a foot in contact within this distance of an edge vi
 
 SCAN_PATCH = 7  # cells, 0.14 m: what one scandot covers, next to nothing between it and its neighbours
 
-LEAD = {"walk": 0.0, "climb-up": 0.6, "climb-down": 0.5, "leap": 0.7, "beam": 0.4}  # [m]
-TAIL = {"walk": 0.0, "climb-up": 0.3, "climb-down": 0.35, "leap": 0.35, "beam": 0.3}  # [m]
+# Where the oracle takes a skill up before an obstacle and how long it keeps it after: chosen on training
+# courses (benchmarks/oracle_regions.py), within what the scandots see, 1.2 m ahead and 0.45 m behind.
+LEAD = {"walk": 0.0, "climb-up": 0.8, "climb-down": 0.8, "leap": 1.0, "beam": 0.4}  # [m]
+TAIL = {"walk": 0.0, "climb-up": 0.45, "climb-down": 0.45, "leap": 0.35, "beam": 0.3}  # [m]
 
 
 def height_map(course: Course) -> np.ndarray:
