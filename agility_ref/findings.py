@@ -181,7 +181,7 @@ def generalists_plateau_below(e: Evidence) -> Finding:
     return Finding(
         "Generalists plateau below the specialists.", "abstract",
         "Level of the curriculum at the end of training: the mean of the specialists minus the generalist's on their "
-        "courses, after as many steps as all of them together.",
+        "courses; Table 1 prints the steps of each.",
         tuple(over_seeds(f"{g}: final level", -_level_differences(e, g, late=True)) for g in REPLACED),
     )  # fmt: skip
 

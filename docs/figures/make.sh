@@ -5,21 +5,24 @@
 set -e
 agility-ref plot courses --out docs/figures/courses.png
 agility-ref plot framework --out docs/figures/framework.png
-agility-ref plot skills --preset quick --difficulty 0.3 --out docs/figures/skills.png
-agility-ref plot strobe oracle --environment climb-gap --preset quick --difficulty 0.3 --out docs/figures/strobe.png
-agility-ref plot strobe gen-5 --environment beam --preset quick --out docs/figures/strobe-beam.png
-agility-ref plot oracle-map oracle --environment climb-gap --preset quick --out docs/figures/oracle-map.png
-agility-ref plot oracle-map ps-rl-3 --environment climb-gap --preset quick --out docs/figures/selector-map.png
-agility-ref plot episode walk --environment walk --preset quick --out docs/figures/episode.png
-if [ -d runs/quick ]; then
-  agility-ref plot curves runs/quick/gen-3/seed* runs/quick/climb/seed* runs/quick/leap/seed* runs/quick/walk/seed* --out docs/figures/curves.png
+agility-ref plot skills --difficulty 0.5 --out docs/figures/skills.png
+agility-ref plot strobe oracle --environment climb-gap --difficulty 0.5 --out docs/figures/strobe.png
+agility-ref plot strobe gen-5 --environment beam --difficulty 0.5 --out docs/figures/strobe-beam.png
+agility-ref plot oracle-map oracle --environment climb-gap --out docs/figures/oracle-map.png
+agility-ref plot oracle-map ps-rl-3 --environment climb-gap --out docs/figures/selector-map.png
+agility-ref plot episode walk --environment walk --out docs/figures/episode.png
+if [ -d runs/full/gen-3 ]; then
+  agility-ref plot curves runs/full/gen-3/seed* runs/full/gen-5/seed* runs/full/climb-up/seed* runs/full/climb-down/seed* runs/full/beam/seed* --out docs/figures/curves.png
 fi
-agility-ref video oracle --environment climb-gap --preset quick --difficulty 0.3 --seconds 6 --fps 16 --width 400 --height 300 --quality 50 --out docs/figures/oracle.webp
-agility-ref video gen-5 --environment beam --preset quick --seconds 6 --fps 16 --width 400 --height 300 --quality 50 --out docs/figures/beam.webp
+agility-ref video oracle --environment climb-gap --difficulty 0.3 --course 2 --seconds 6 --fps 16 --width 400 --height 300 --quality 50 --out docs/figures/oracle.webp
+agility-ref video gen-5 --environment beam --difficulty 0.5 --seconds 6 --fps 16 --width 400 --height 300 --quality 50 --out docs/figures/beam.webp
 for d in 0.5 1; do
   agility-ref plot strobe walk --environment walk --difficulty $d --out docs/figures/walk-$d.png
   agility-ref plot strobe climb --environment climb --difficulty $d --out docs/figures/climb-$d.png
   agility-ref plot strobe leap --environment gap --difficulty $d --out docs/figures/leap-$d.png
+  agility-ref plot strobe climb-up --environment climb-up --difficulty $d --out docs/figures/climb-up-$d.png
+  agility-ref plot strobe climb-down --environment climb-down --difficulty $d --out docs/figures/climb-down-$d.png
+  agility-ref plot strobe beam --environment beam --difficulty $d --out docs/figures/beam-$d.png
 done
 agility-ref video climb --environment climb --difficulty 1 --seconds 13 --fps 14 --width 400 --height 300 --quality 45 --out docs/figures/climb.webp
 rm -f docs/figures/*.svg
