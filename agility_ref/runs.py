@@ -135,8 +135,9 @@ def load_policy(policy: str, config: TrainConfig) -> Single | Hierarchy:
     path = weights_path(policy, config)
     own = Policy.load(path)
     _check_shape(own, own.obs_dim if own.obs_dim in (OBS_DIM, NUM_SCANDOTS) else OBS_DIM, len(skills))
+    found = digests(skills)
     for name, digest in own.meta.get("skills", {}).items():
-        if name in skills and skills[name].digest() != digest:
+        if found.get(name, digest) != digest:
             raise UserError(f"{path} was trained over another {name} than {weights_path(name, config)}; train it again")
     return selector_hierarchy(policy, skills, own)
 
@@ -168,6 +169,11 @@ def _flat(settings: dict, prefix: str = "") -> dict[str, object]:
 def load_skills(spec: PolicySpec, config: TrainConfig) -> dict[str, Policy]:
     """Load the frozen specialists of a hierarchy, in the order of its outputs."""
     return {name: load_skill(weights_path(name, config), config.env) for name in spec.skills}
+
+
+def digests(skills: dict[str, Policy]) -> dict[str, str]:
+    """Name the very skills of a bank, as a selector records those it was trained over."""
+    return {name: skill.digest() for name, skill in skills.items()}
 
 
 def load_skill(path: Path, env: EnvConfig) -> Policy:
@@ -282,6 +288,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     distribution = Categorical if selector else Gaussian
     learner = Learner.create(config.env.obs_dim, act_dim, ppo, config.seed, distribution, fixed=SCANDOTS)
     skills = load_skills(spec, config)
+    bank = digests(skills)
     if selector:
         env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward, config.selector, config.ppo.gamma)
     rows = _resume_or_warm_start(spec, config, folder, learner, curriculum)
@@ -301,7 +308,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
             "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": learner.steps,
             "start": learner.start, "courses": spec.courses, "act_dim": act_dim, "obs_dim": config.env.obs_dim,
             "versions": checkpoint.versions(), "wall_seconds": time.monotonic() - start, "decision_steps": hold, "config": asdict(config),
-            "skills": {name: skill.digest() for name, skill in skills.items()},
+            "skills": bank,
         }  # fmt: skip
         log.write()
         checkpoint.save(folder / "policy.npz", arrays, meta, compress)
@@ -384,7 +391,7 @@ def _train_supervised(spec: PolicySpec, config: TrainConfig, folder: Path, quiet
             "courses": spec.courses, "act_dim": len(skills), "obs_dim": NUM_SCANDOTS,
             "versions": checkpoint.versions(), "wall_seconds": time.monotonic() - start,
             "decision_steps": config.selector.decision_steps, "config": asdict(config),
-            "skills": {name: skill.digest() for name, skill in skills.items()},
+            "skills": digests(skills),
         }  # fmt: skip
         actor = selector_hierarchy(spec.name, skills, Policy.from_arrays(arrays, meta))
         rows += [{"round": k, "states": len(labels), "epoch": e, "cross_entropy": v} for e, v in enumerate(losses)]

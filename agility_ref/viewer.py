@@ -2,7 +2,8 @@
 
 The page is drawn by viser (https://viser.studio), which needs no graphics on this machine.
 Unlike MuJoCo Studio's web viewer it listens where it is told, takes no files from the page,
-and writes a clip that plays without a server.  There is no password, so it listens on 127.0.0.1 only; to watch from elsewhere, tunnel the port:
+and writes a clip that plays without a server.  There is no password, so it listens on
+127.0.0.1 only; to watch from elsewhere, tunnel the port:
 ``ssh -L 8080:localhost:8080 HOST``.
 
 In:  a policy and an environment.  Out: a page at http://localhost:8080, or an .html file.

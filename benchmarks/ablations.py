@@ -190,11 +190,10 @@ def collect(config: Config) -> dict[str, dict[str, dict[int, list[dict]]]]:
     found: dict[str, dict[str, dict[int, list[dict]]]] = {}
     for name in config.policies:
         for ablation in ABLATIONS:
-            folders = (config.root / ablation.name / name).glob("seed*/DONE")
-            for seed in sorted(int(done.parent.name.removeprefix("seed")) for done in folders):
+            finished = (config.root / ablation.name / name).glob("seed*/DONE")
+            for seed in sorted(int(mark.parent.name.removeprefix("seed")) for mark in finished):
                 done = load(run_folder(config.root / ablation.name, name, seed), recipe_of(ablation, seed, config))
-                if done is not None:
-                    found.setdefault(name, {}).setdefault(ablation.name, {})[seed] = done.curve
+                found.setdefault(name, {}).setdefault(ablation.name, {})[seed] = done.curve
     return found
 
 
