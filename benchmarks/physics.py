@@ -1,18 +1,15 @@
-"""The physics choice: speed of the candidates, and whether trained policies hold under finer physics.
+"""The physics choice: speed of the candidates; ``fidelity.py`` shows what their policies are worth.
 
     python benchmarks/physics.py [--json]
-    python benchmarks/physics.py --fidelity runs/full/{walk,leap,climb}/seed0/policy.npz [--json]
 
 Speed is bare physics on the same courses, the same open-loop trot.  Each candidate changes
-one thing against the chosen physics, ``PhysicsConfig()``.  Fidelity plays each policy's
-evaluation under the physics it was trained with and at 2.5 ms with MuJoCo's default solver
-settings; the policy may lose no more of its waypoints than its 95 % interval.
+one thing against the chosen physics, ``PhysicsConfig()``.
 """
 
 import contextlib
 import tempfile
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 
 import mujoco
 import numpy as np
@@ -30,13 +27,7 @@ from common import (
     substitute,
 )
 
-from agility_ref.checkpoint import Policy
-from agility_ref.evaluate import EvaluationConfig, evaluate
 from agility_ref.go1 import PhysicsConfig, make_xml
-from agility_ref.observation import OBS_DIM
-from agility_ref.selector import Single
-from agility_ref.stats import bootstrap_interval, paired_difference, wilson_interval
-from agility_ref.task import EnvConfig
 from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH, Course
 from agility_ref.world import height_map
 
@@ -55,17 +46,8 @@ class Config:
     """Rounds of the alternation; the median counts."""
     steps: int = 20
     """Control steps a block."""
-    fidelity: tuple[str, ...] = ()
-    """Checkpoints to evaluate under finer physics, instead of measuring speed."""
-    environments: tuple[str, ...] = ()
-    """Where to play them; by default on the courses each was trained on."""
-    episodes: int = 64
-    """Complete episodes of each evaluation."""
     json: bool = False
     """Print one JSON object."""
-
-
-# ---------------------------------------------------------------------------- speed
 
 
 @dataclass(frozen=True)
@@ -105,6 +87,7 @@ def candidates() -> list[Candidate]:
         Candidate("condim 4", edits=(('condim="3"', 'condim="4"'),)),
         Candidate("condim 6", edits=(('condim="3"', 'condim="6"'),)),
         Candidate("no midphase", edits=(("<default>", '<option><flag midphase="disable"/></option><default>'),)),
+        Candidate("feet alone touch", edits=(('<geom contype="0" conaffinity="1" mass="0"/>', '<geom contype="0" conaffinity="0" mass="0"/>'),)),
         Candidate("infinite plane", ground="plane"),
         Candidate("rough: boxes", ground="boxes"),
         Candidate("rough: height field", ground="height field"),
@@ -182,82 +165,20 @@ def contacts(load: Trotters) -> float:
     return float(np.mean(ncon))
 
 
-# ---------------------------------------------------------------------------- fidelity
-
-
-def trained_physics(policy: Policy) -> PhysicsConfig:
-    """Return the physics that a checkpoint's record names; the chosen one where it names none."""
-    recorded = policy.meta.get("config", {}).get("env", {}).get("physics", {})
-    return PhysicsConfig(**{f.name: recorded[f.name] for f in fields(PhysicsConfig) if f.name in recorded})
-
-
-def fine(physics: PhysicsConfig) -> PhysicsConfig:
-    """Return the same robot at 2.5 ms with MuJoCo's default 100 iterations and 50 of line search."""
-    dt = physics.timestep * physics.substeps
-    return replace(physics, timestep=0.0025, substeps=round(dt / 0.0025), iterations=100, ls_iterations=50)
-
-
-def hold(path: str, config: Config) -> list[dict]:
-    """Play one policy under both physics, the same courses and starts."""
-    policy = Policy.load(path)
-    if policy.obs_dim != OBS_DIM or len(policy.layers[-1][1]) != 12:
-        return []  # a selector: it is as faithful as its skills
-    name, physics, rows = policy.meta.get("policy", path), trained_physics(policy), []
-    for environment in config.environments or policy.meta["courses"]:
-        evaluation = EvaluationConfig(config.episodes, preset=policy.meta.get("preset", "full"))
-        trained, finer = (
-            evaluate(Single(name, policy), environment, evaluation, EnvConfig(physics=p))
-            for p in (physics, fine(physics))
-        )
-        low, high = bootstrap_interval(trained.waypoint_fraction, np.mean)
-        rows.append(
-            {
-                "policy": name,
-                "environment": environment,
-                "trained_at": f"{1000 * physics.timestep:g} ms x {physics.substeps}",
-                "waypoint_fraction": float(trained.waypoint_fraction.mean()),
-                "interval": [low, high],
-                "fine_waypoint_fraction": float(finer.waypoint_fraction.mean()),
-                "difference": paired_difference(finer.waypoint_fraction, trained.waypoint_fraction),
-                "falls": float(trained.fell.mean()),
-                "falls_interval": wilson_interval(int(trained.fell.sum()), config.episodes),
-                "fine_falls": float(finer.fell.mean()),
-                "holds": bool(finer.waypoint_fraction.mean() >= low),
-            }
-        )
-    return rows
-
-
 def main(config: Config) -> None:
     started = machine()
-    if config.fidelity:
-        figures = {"fidelity": [row for path in config.fidelity for row in hold(path, config)]}
-        rows = [
-            {
-                "policy": f"{r['policy']} on {r['environment']}",
-                "trained at": r["trained_at"],
-                "waypoints": f"{r['waypoint_fraction']:.3f} [{r['interval'][0]:.3f}, {r['interval'][1]:.3f}]",
-                "at 2.5 ms": f"{r['fine_waypoint_fraction']:.3f}",
-                "difference": "{:+.3f} [{:+.3f}, {:+.3f}]".format(*r["difference"]),
-                "falls": f"{r['falls']:.2f} [{r['falls_interval'][0]:.2f}, {r['falls_interval'][1]:.2f}]",
-                "falls at 2.5 ms": f"{r['fine_falls']:.2f}",
-                "holds": "yes" if r["holds"] else "NO",
-            }
-            for r in figures["fidelity"]
-        ]
-    else:
-        with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # for MUJOCO_LOG.TXT
-            figures = {"chosen": asdict(CHOSEN), "speed": speed(config)}
-        rows = [
-            {
-                "candidate": name,
-                "control steps/s": f"{f['control_steps_per_second']:.0f}",
-                "over chosen": show(f["speed_over_chosen"]),
-                "contacts a robot": f"{f['contacts']:.1f}",
-                "unstable robots": f"{f['unstable']:.0%}",
-            }
-            for name, f in figures["speed"].items()
-        ]
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # for MUJOCO_LOG.TXT
+        figures = {"chosen": asdict(CHOSEN), "speed": speed(config)}
+    rows = [
+        {
+            "candidate": name,
+            "control steps/s": f"{f['control_steps_per_second']:.0f}",
+            "over chosen": show(f["speed_over_chosen"]),
+            "contacts a robot": f"{f['contacts']:.1f}",
+            "unstable robots": f"{f['unstable']:.0%}",
+        }
+        for name, f in figures["speed"].items()
+    ]
     report(config.json, started, {"config": asdict(config), **figures}, rows)
 
 

@@ -5,6 +5,7 @@ import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -12,12 +13,14 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
 import ablations
 import common
+import fidelity
 import learning
+import physics
 import skills_table
 import time_to_skill
 import time_to_walk
 
-from agility_ref import checkpoint, findings, runs
+from agility_ref import checkpoint, findings, go1, runs
 from agility_ref.curriculum import CurriculumConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import Evaluation, EvaluationConfig
@@ -25,6 +28,7 @@ from agility_ref.evidence import read_ablations
 from agility_ref.policies import POLICIES, PPOConfig
 from agility_ref.runs import TrainConfig, train_policy
 from agility_ref.task import EnvConfig
+from agility_ref.terrain import make_course
 
 TINY = {
     "preset": "quick",
@@ -173,6 +177,38 @@ def test_a_mistake_is_one_line(monkeypatch, capsys):
         common.start(time_to_skill.main, time_to_skill.Config)
     err = capsys.readouterr().err
     assert stop.value.code == 2 and err.count("\n") == 1 and err.startswith("time_to_skill.py: oracle")
+
+
+# --- fidelity -----------------------------------------------------------------------------
+
+
+def test_a_candidate_changes_the_robots_and_only_while_it_lasts():
+    euler = next(candidate for candidate in physics.candidates() if candidate.name == "Euler")
+    course, seen = make_course("climb", 0.5, 0), []
+    with fidelity.edited(euler):
+        seen.append(go1.make_model(course).opt.integrator)
+    seen.append(go1.make_model(course).opt.integrator)
+    assert seen == [mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_IMPLICITFAST]
+
+
+def test_fidelity_trains_under_a_candidate_once_and_plays_both_physics(tiny, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(fidelity, "TrainConfig", lambda **given: TrainConfig(**TINY | given))
+    config = fidelity.Config(candidates=("5 ms x 4",), policies=("walk",), runs=str(tmp_path), episodes=2, json=True)
+    fidelity.main(config)
+    first = json.loads(capsys.readouterr().out)["fidelity"]
+    monkeypatch.setattr(fidelity, "train_policy", None)  # the second time there is nothing to train
+    fidelity.main(config)
+    assert json.loads(capsys.readouterr().out)["fidelity"] == first
+    _, meta = checkpoint.load(tmp_path / "5-ms-x-4" / "walk" / "seed0" / "policy.npz")
+    assert meta["config"]["env"]["physics"]["timestep"] == 0.005
+    assert first[0]["candidate"] == "5 ms x 4" and 0.0 <= first[0]["waypoint_fraction"] <= 1.0
+
+
+def test_fine_physics_keeps_the_control_period():
+    chosen = go1.PhysicsConfig()
+    finer = fidelity.fine(chosen)
+    assert finer.timestep == 0.0025 and finer.substeps == 8  # 0.02 s / 2.5 ms
+    assert (finer.iterations, finer.ls_iterations) == (100, 50) and finer.kp == chosen.kp
 
 
 # --- ablations ----------------------------------------------------------------------------
