@@ -21,10 +21,10 @@ import mujoco
 import numpy as np
 
 from agility_ref import checkpoint
+from agility_ref.bank import TrainConfig, load_policy, weights_path
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS, EvaluationConfig, evaluate
 from agility_ref.policies import find_policy
-from agility_ref.runs import TrainConfig, load_policy, weights_path
 from agility_ref.selector import Hierarchy, Single
 from agility_ref.task import EnvConfig
 

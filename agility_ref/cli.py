@@ -32,7 +32,8 @@ USAGE = """usage: agility-ref COMMAND [--help]
 
 def train(argv: list[str]) -> None:
     """Train one policy."""
-    from agility_ref.runs import TrainConfig, train_policy
+    from agility_ref.bank import TrainConfig
+    from agility_ref.runs import train_policy
 
     @dataclass(frozen=True)
     class Train:
@@ -48,10 +49,10 @@ def train(argv: list[str]) -> None:
 
 def evaluate(argv: list[str]) -> None:
     """Evaluate one policy on one environment."""
+    from agility_ref.bank import TrainConfig, existing, load_policy, weights_path
     from agility_ref.cells import acting_policies
     from agility_ref.evaluate import METRICS, EvaluationConfig, evaluation_world
     from agility_ref.evaluate import evaluate as run
-    from agility_ref.runs import TrainConfig, existing, load_policy, weights_path
 
     @dataclass(frozen=True)
     class Evaluate:
@@ -89,8 +90,8 @@ def evaluate(argv: list[str]) -> None:
 def table1(argv: list[str]) -> None:
     """Compute Table 1, and what it says about the paper's findings."""
     from agility_ref import findings, table1, table_output, verdicts
+    from agility_ref.bank import TrainConfig, existing
     from agility_ref.evaluate import EvaluationConfig
-    from agility_ref.runs import TrainConfig, existing
 
     @dataclass(frozen=True)
     class Table1:

@@ -17,8 +17,8 @@ from agility_ref.policies import ENVIRONMENTS, POLICIES, find_policy
 
 def diagnose(argv: list[str]) -> None:
     """Diagnose one selector."""
+    from agility_ref.bank import TrainConfig, existing
     from agility_ref.evaluate import EvaluationConfig, evaluation_world
-    from agility_ref.runs import TrainConfig, existing
 
     @dataclass(frozen=True)
     class Diagnose:
@@ -64,9 +64,9 @@ def diagnose(argv: list[str]) -> None:
 
 def _play(name: str, environments: tuple[str, ...], config, training) -> tuple[list, list[dict]]:
     """Play the policy and the oracles on every environment; return traces and reports."""
+    from agility_ref.bank import load_policy
     from agility_ref.diagnosis import measure
     from agility_ref.evaluate import evaluation_env
-    from agility_ref.runs import load_policy
     from agility_ref.selector import Hierarchy, oracle_hierarchy
     from agility_ref.trace import Trace, play
 

@@ -44,8 +44,8 @@ class Play:
 
     def load(self):
         """Return the policy and the evaluation's configuration."""
+        from agility_ref.bank import TrainConfig, existing, load_policy
         from agility_ref.evaluate import EvaluationConfig
-        from agility_ref.runs import TrainConfig, existing, load_policy
 
         config = EvaluationConfig(seed=self.seed, preset=self.preset, difficulty=self.difficulty, clean=self.clean)
         training = TrainConfig(preset=self.preset, seed=self.train_seed, out=existing(self.runs))
@@ -117,8 +117,8 @@ def plot_curves(argv: list[str]) -> None:
 
 def _evaluation_point(run: Path, environment: str, episodes: int) -> dict:
     """Evaluate the policy in a run folder; return its steps and its mean metrics."""
+    from agility_ref.bank import load_skill
     from agility_ref.evaluate import METRICS, EvaluationConfig, evaluate
-    from agility_ref.runs import load_skill
     from agility_ref.selector import Single
     from agility_ref.task import EnvConfig
 

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from agility_ref import weights
+from agility_ref.bank import TrainConfig, run_folder
 from agility_ref.cells import Cells, seeds_of, stack
 from agility_ref.errors import UserError
 from agility_ref.policies import ALIASES
 from agility_ref.progress import read_progress
-from agility_ref.runs import TrainConfig, run_folder
 from agility_ref.table1 import ENVIRONMENT_LABELS, PAPER_LABELS, paper_cells
 from agility_ref.verdicts import Comparison, paired
 

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from agility_ref.bank import TrainConfig
 from agility_ref.cells import Cells, seeds_of
 from agility_ref.evidence import Evidence, gather
 from agility_ref.policies import find_policy
 from agility_ref.progress import write_text
-from agility_ref.runs import TrainConfig
 from agility_ref.verdicts import Comparison, Finding, markdown, over_seeds, paired
 
 SELECTORS, GENERALISTS = ("oracle", "ps-sl-5"), ("gen-3", "gen-5")

@@ -40,10 +40,15 @@ def write_csv(path: Path, rows: list[dict]) -> None:
     os.replace(partial, path)
 
 
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """Read a progress.csv; a last row that was cut short is left out."""
+    with open(path, newline="") as file:
+        return [row for row in csv.DictReader(file) if None not in row.values()]
+
+
 def read_progress(path: Path) -> dict[str, np.ndarray]:
     """Read a progress.csv into one array a column."""
-    with open(path, newline="") as file:
-        rows = [row for row in csv.DictReader(file) if None not in row.values()]
+    rows = read_rows(path)
     return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]} if rows else {}
 
 

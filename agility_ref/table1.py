@@ -18,11 +18,12 @@ from pathlib import Path
 import numpy as np
 
 from agility_ref import weights
+from agility_ref.bank import TrainConfig
 from agility_ref.cells import Cell, Cells, acting_policies, enter, find_cell, seeds_of
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS, EvaluationConfig, evaluation_world, mean_std
 from agility_ref.policies import ENVIRONMENTS, POLICIES, TABLE_ROWS, find_policy
-from agility_ref.runs import TrainConfig, train_policy
+from agility_ref.runs import train_policy
 from agility_ref.stats import bootstrap_interval, iqm, wilson_interval
 
 EXTRA_ROWS = ("ps-rl-3-env", "ps-rl-3-oracle")  # beyond the paper: the two rewards of section 3.2.2

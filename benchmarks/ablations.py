@@ -30,12 +30,12 @@ from learning import (
 )
 
 from agility_ref import checkpoint
+from agility_ref.bank import TrainConfig, run_folder
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError, unknown_name
 from agility_ref.plots import CYCLE, save_figure, style
 from agility_ref.policies import find_policy, find_preset, requirements
 from agility_ref.progress import write_csv, write_text
-from agility_ref.runs import TrainConfig, run_folder
 
 COLUMNS = ("ablation", "policy", "seed", "steps", "waypoint_fraction", "falls", "level")
 

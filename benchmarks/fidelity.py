@@ -22,12 +22,13 @@ from physics import Candidate, candidates
 from tyro.conf import Positional
 
 from agility_ref import go1
+from agility_ref.bank import TrainConfig, run_folder
 from agility_ref.checkpoint import Policy
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluate
 from agility_ref.go1 import PhysicsConfig
 from agility_ref.observation import OBS_DIM
-from agility_ref.runs import TrainConfig, run_folder, train_policy
+from agility_ref.runs import train_policy
 from agility_ref.selector import Single
 from agility_ref.stats import bootstrap_interval, paired_difference, wilson_interval
 from agility_ref.task import TRAINING, EnvConfig

@@ -13,10 +13,10 @@ import numpy as np
 import tyro
 from common import machine, report, start
 
+from agility_ref.bank import TrainConfig, load_policy
 from agility_ref.evaluate import EvaluationConfig
 from agility_ref.gait import measure
 from agility_ref.record import record
-from agility_ref.runs import TrainConfig, load_policy
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agility_ref.bank import TrainConfig
 from agility_ref.checkpoint import Policy
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
@@ -25,7 +26,7 @@ from agility_ref.observation import SCANDOTS
 from agility_ref.plots import band, new_figure, style
 from agility_ref.policies import find_policy, requirements
 from agility_ref.ppo import train
-from agility_ref.runs import TrainConfig, make_env
+from agility_ref.runs import make_env
 from agility_ref.selector import Single
 from agility_ref.task import EnvConfig
 

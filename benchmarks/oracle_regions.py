@@ -15,10 +15,10 @@ import numpy as np
 from common import machine, report, start
 
 from agility_ref import trace, world
+from agility_ref.bank import TrainConfig, load_policy
 from agility_ref.curriculum import CurriculumConfig, training_world
 from agility_ref.env import Go1Env
 from agility_ref.policies import find_preset
-from agility_ref.runs import TrainConfig, load_policy
 from agility_ref.selector import Hierarchy
 from agility_ref.stats import paired_difference
 

@@ -16,12 +16,12 @@ import numpy as np
 from common import machine, report, start
 from learning import check_skill, tell
 
+from agility_ref.bank import TrainConfig, load_skill, weights_path
 from agility_ref.checkpoint import Policy
 from agility_ref.errors import UserError
 from agility_ref.evaluate import Evaluation, EvaluationConfig, evaluate, evaluation_world
 from agility_ref.policies import POLICIES, find_policy, find_preset
 from agility_ref.progress import write_csv
-from agility_ref.runs import TrainConfig, load_skill, weights_path
 from agility_ref.selector import Single
 from agility_ref.stats import paired_difference
 from agility_ref.table1 import seeds_with_weights

@@ -25,11 +25,11 @@ from learning import (
     tell,
 )
 
+from agility_ref.bank import TrainConfig
 from agility_ref.errors import UserError
 from agility_ref.plots import BLUE, GREY, save_figure, style
 from agility_ref.policies import find_policy, find_preset
 from agility_ref.progress import write_csv
-from agility_ref.runs import TrainConfig
 
 
 @dataclass(frozen=True)

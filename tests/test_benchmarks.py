@@ -20,13 +20,14 @@ import skills_table
 import time_to_skill
 import time_to_walk
 
-from agility_ref import checkpoint, findings, go1, runs
+from agility_ref import checkpoint, findings, go1
+from agility_ref.bank import TrainConfig
 from agility_ref.curriculum import CurriculumConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import Evaluation, EvaluationConfig
 from agility_ref.evidence import read_ablations
 from agility_ref.policies import POLICIES, PPOConfig
-from agility_ref.runs import TrainConfig, train_policy
+from agility_ref.runs import train_policy
 from agility_ref.task import EnvConfig
 from agility_ref.terrain import make_course
 
@@ -40,7 +41,7 @@ TINY = {
 @pytest.fixture
 def tiny(monkeypatch):
     """Make every training a tiny one, and every warm start one of 64 steps."""
-    monkeypatch.setattr(runs.weights, "shipped", lambda *key: None)
+    monkeypatch.setattr("agility_ref.weights.shipped", lambda *key: None)
     for module in (time_to_skill, ablations):
         monkeypatch.setattr(module, "TrainConfig", lambda **given: TrainConfig(**TINY | given))
     small = {name: replace(spec, budget=(64, 64)) for name, spec in POLICIES.items()}

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from agility_ref import cells, checkpoint
+from agility_ref.bank import TrainConfig
 from agility_ref.cells import SOURCES, cell_path, enter, find_cell, origin, seeds_of, stack, steps_spent
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS, Evaluation, EvaluationConfig
-from agility_ref.runs import TrainConfig
 
 FIVE = ("walk", "climb-up", "climb-down", "leap", "beam")
 CONFIG = EvaluationConfig(episodes=3, seed=4)

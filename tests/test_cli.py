@@ -5,7 +5,6 @@ import sys
 import numpy as np
 import pytest
 
-from agility_ref import runs
 from agility_ref.cli import COMMANDS, main
 from agility_ref.evaluate import METRICS
 from agility_ref.policies import POLICIES
@@ -15,7 +14,7 @@ from agility_ref.policies import POLICIES
 def empty_folder(monkeypatch, tmp_path):
     """Work in an empty folder without shipped weights."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(runs.weights, "shipped", lambda *key: None)
+    monkeypatch.setattr("agility_ref.weights.shipped", lambda *key: None)
 
 
 @pytest.fixture

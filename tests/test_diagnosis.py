@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from agility_ref import diagnosis_figures, evaluate, runs
+from agility_ref import diagnosis_figures, evaluate
 from agility_ref.cli import main
 from agility_ref.diagnosis import (
     OFFSETS,
@@ -162,7 +162,7 @@ def test_the_course_drawn_is_the_one_with_the_widest_mistakes(traces):
 def weights(monkeypatch, tmp_path, finished_run):
     """Random skills and selectors, and episodes of half a second."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(runs.weights, "shipped", lambda *key: None)
+    monkeypatch.setattr("agility_ref.weights.shipped", lambda *key: None)
     for skill in (*SKILLS, "climb"):
         finished_run(tmp_path / "runs", skill)
     finished_run(tmp_path / "runs", "ps-sl-5", obs_dim=NUM_SCANDOTS, act_dim=5)

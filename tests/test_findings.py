@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from agility_ref import findings, weights
+from agility_ref.bank import TrainConfig
 from agility_ref.cells import Cell
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS
 from agility_ref.evidence import Evidence, gather, paper_mean, read_ablations, training_curve
 from agility_ref.findings import CLAIMS
 from agility_ref.policies import ENVIRONMENTS, POLICIES
-from agility_ref.runs import TrainConfig
 from agility_ref.verdicts import NOT_MEASURED, NOT_REPRODUCED, REPRODUCED, UNDECIDED
 
 N = 40

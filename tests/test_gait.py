@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 
 from agility_ref import weights
+from agility_ref.bank import TrainConfig, load_policy
 from agility_ref.evaluate import EvaluationConfig
 from agility_ref.gait import contact_share, foot_clearance, measure, swing_peaks
 from agility_ref.go1 import FOOT_RADIUS
 from agility_ref.policies import PRESETS
 from agility_ref.record import record
-from agility_ref.runs import TrainConfig, load_policy
 from agility_ref.terrain import make_course
 
 # The presets whose walk is held to the bounds below; the budget of quick is too short for a gait.

@@ -7,7 +7,7 @@ import pytest
 from conftest import random_arrays
 from PIL import Image
 
-from agility_ref import gallery, panels, pictures, plots, runs
+from agility_ref import gallery, panels, pictures, plots
 from agility_ref.checkpoint import Policy
 from agility_ref.cli import main
 from agility_ref.cli_pictures import PLOTS
@@ -328,7 +328,7 @@ def test_gallery_names_its_dimensions():
 @pytest.fixture
 def trained(tmp_path, monkeypatch, finished_run):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(runs.weights, "shipped", lambda *key: None)
+    monkeypatch.setattr("agility_ref.weights.shipped", lambda *key: None)
     for name in SKILLS:
         finished_run(tmp_path / "runs" / "full", name)
     return tmp_path

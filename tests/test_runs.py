@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from agility_ref import checkpoint, runs
+from agility_ref.bank import TrainConfig, load_policy, run_folder
 from agility_ref.curriculum import CurriculumConfig
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
@@ -14,8 +15,8 @@ from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
 from agility_ref.policies import PPOConfig, find_policy
 from agility_ref.progress import PROGRESS
 from agility_ref.rewards import RewardConfig
-from agility_ref.runs import TrainConfig, load_policy, run_folder, train_policy, weights_path
-from agility_ref.selector import Hierarchy, SelectorConfig, Single, SupervisedConfig
+from agility_ref.runs import train_policy
+from agility_ref.selector import Hierarchy, SelectorConfig, SupervisedConfig
 from agility_ref.task import EnvConfig
 from agility_ref.terrain import COURSE_KINDS
 
@@ -31,7 +32,7 @@ def drawing():
 @pytest.fixture(autouse=True)
 def quick_and_alone(monkeypatch, tmp_path, request):
     """Tests find their own runs only, and draw no figures unless they ask to."""
-    monkeypatch.setattr(runs.weights, "shipped", lambda *key: None)
+    monkeypatch.setattr("agility_ref.weights.shipped", lambda *key: None)
     if "drawing" not in request.fixturenames:
         monkeypatch.setattr("agility_ref.plots.learning_curve", lambda *args: None)
 
@@ -151,7 +152,7 @@ def test_interrupt_saves_and_leaves_no_done(config, monkeypatch):
     assert steps_of(folder) == [BATCH]
     assert not (folder / "DONE").exists()
     monkeypatch.undo()
-    monkeypatch.setattr(runs.weights, "shipped", lambda *key: None)
+    monkeypatch.setattr("agility_ref.weights.shipped", lambda *key: None)
     train_policy("walk", config, quiet=True)
     assert steps_of(folder) == [BATCH, 2 * BATCH, 3 * BATCH]
 
@@ -303,7 +304,7 @@ def test_damaged_shipped_weights_are_not_trained_anew(config, monkeypatch):
     def shipped(*key):
         raise UserError("shipped weights differ from their manifest")
 
-    monkeypatch.setattr(runs.weights, "shipped", shipped)
+    monkeypatch.setattr("agility_ref.weights.shipped", shipped)
     with pytest.raises(UserError, match="differ from their manifest"):
         train_policy("climb", config, quiet=True)
 
@@ -434,60 +435,3 @@ def test_supervised_selector_run(config, tmp_path, finished_run):
     hierarchy = load_policy("ps-sl-5", config)
     assert isinstance(hierarchy, Hierarchy)
     assert hierarchy.act(np.zeros((2, OBS_DIM), np.float32), None)[0].shape == (2, ACTION_DIM)
-
-
-# --- finding weights -------------------------------------------------------------------
-
-
-def test_own_runs_come_before_shipped_weights(config, tmp_path, finished_run, monkeypatch):
-    shipped = tmp_path / "shipped.npz"
-    shipped.touch()
-    monkeypatch.setattr(runs.weights, "shipped", lambda *key: shipped)
-    assert weights_path("walk", config) == shipped
-    folder = finished_run(tmp_path, "walk")
-    assert weights_path("walk", config) == folder / "policy.npz"
-
-
-def test_unfinished_runs_are_not_used(config, tmp_path, finished_run):
-    (finished_run(tmp_path, "walk") / "DONE").unlink()
-    with pytest.raises(UserError, match="agility-ref train walk --preset quick --seed 0"):
-        weights_path("walk", config)
-
-
-def test_load_policy_single(config, tmp_path, finished_run):
-    finished_run(tmp_path, "walk")
-    policy = load_policy("walk", config)
-    assert isinstance(policy, Single)
-    assert policy.act(np.zeros((2, OBS_DIM), np.float32), None)[0].shape == (2, ACTION_DIM)
-
-
-def test_aliases_share_a_folder(tmp_path):
-    assert run_folder(tmp_path, "ps-rl-3", 2).name == "seed2"
-    assert run_folder(tmp_path, "ps-rl-3", 2).parent.name.startswith("ps-rl-3-")
-
-
-def test_a_policy_of_another_shape_is_refused(config, tmp_path, finished_run):
-    finished_run(tmp_path, "walk", obs_dim=48)
-    with pytest.raises(UserError, match="48 -> 12"):
-        load_policy("walk", config)
-
-
-def test_a_skill_of_another_shape_is_refused(config, tmp_path, finished_run):
-    for skill in ("walk", "climb-up", "climb-down", "leap"):
-        finished_run(tmp_path, skill)
-    finished_run(tmp_path, "beam", obs_dim=48)
-    with pytest.raises(UserError, match="48 -> 12"):
-        load_policy("oracle", config)
-
-
-def test_a_selector_over_other_skills_is_refused(config, tmp_path, finished_run):
-    for skill in ("walk", "climb", "leap"):
-        finished_run(tmp_path, skill)
-    finished_run(tmp_path, "ps-rl-3-oracle", act_dim=5)
-    with pytest.raises(UserError, match=r"-> 5.*-> 3"):
-        load_policy("ps-rl-3", config)
-
-
-def test_default_root_follows_the_preset():
-    assert TrainConfig(preset="quick").root.as_posix() == "runs/quick"
-    assert TrainConfig(out="elsewhere").root.as_posix() == "elsewhere"

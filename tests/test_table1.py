@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from agility_ref import cells, table1
+from agility_ref.bank import TrainConfig
 from agility_ref.cells import Cell
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS, Evaluation, EvaluationConfig
 from agility_ref.policies import TABLE_ROWS
-from agility_ref.runs import TrainConfig
 from agility_ref.table1 import (
     ENVIRONMENT_LABELS,
     PAPER_LABELS,

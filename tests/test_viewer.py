@@ -17,7 +17,7 @@ import pytest
 from conftest import random_arrays
 from PIL import Image
 
-from agility_ref import graphics, runs
+from agility_ref import graphics
 from agility_ref.checkpoint import Policy
 from agility_ref.cli import main
 from agility_ref.errors import UserError
@@ -241,7 +241,7 @@ def test_bad_sessions_are_user_errors(oracle, environment, config):
 
 def test_without_viser_one_line_says_what_to_install(monkeypatch, capsys, tmp_path, finished_run):
     monkeypatch.setitem(sys.modules, "viser", None)
-    monkeypatch.setattr(runs.weights, "shipped", lambda *key: None)
+    monkeypatch.setattr("agility_ref.weights.shipped", lambda *key: None)
     finished_run(tmp_path, "walk")
     assert main(f"watch walk --environment gap --runs {tmp_path}".split()) == 2
     err = capsys.readouterr().err

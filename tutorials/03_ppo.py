@@ -16,13 +16,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from agility_ref.bank import TrainConfig, load_policy, run_folder
 from agility_ref.checkpoint import load
 from agility_ref.evaluate import EvaluationConfig, evaluate, evaluation_env
 from agility_ref.plots import BLUE, GREEN, ORANGE, RED, new_figure
 from agility_ref.policies import PRESETS, find_policy
 from agility_ref.ppo import gae, policy_loss
 from agility_ref.progress import read_progress
-from agility_ref.runs import TrainConfig, load_policy, run_folder, train_policy
+from agility_ref.runs import train_policy
 from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH
 
 FIGURES = Path("figures")

@@ -1,0 +1,179 @@
+"""Bank: the settings of a run, where its weights lie, and policies loaded from there.
+
+In:  the name of a policy and a :class:`TrainConfig`, which says the preset, the seed and the folder.
+Out: the policy, from the folder of its finished run or from the shipped weights, refused where it
+does not fit the task or its skills.
+"""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from agility_ref import weights
+from agility_ref.checkpoint import Policy
+from agility_ref.curriculum import CurriculumConfig
+from agility_ref.env import ACTION_DIM
+from agility_ref.errors import UserError
+from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
+from agility_ref.policies import PolicySpec, PPOConfig, find_policy, find_preset
+from agility_ref.selector import (
+    Hierarchy,
+    SelectorConfig,
+    Single,
+    SupervisedConfig,
+    oracle_hierarchy,
+    selector_hierarchy,
+)
+from agility_ref.task import TRAINING, EnvConfig
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """One training run."""
+
+    preset: str = "full"
+    """quick (d up to 0.4, small budgets) or full (d up to 1)."""
+    seed: int = 0
+    """Seed of courses, networks and exploration."""
+    out: str = ""
+    """Folder of runs; runs/<preset> by default."""
+    steps: int = 0
+    """Environment steps, warm start included; 0 for the policy's budget."""
+    overwrite: bool = False
+    """Replace a finished run."""
+    warm_start: bool = True
+    """Start from the policy that the table of policies names; False for from scratch."""
+    warm_std: float = 0.5
+    """Exploration noise after a warm start; usual 0.3 to 0.8."""
+    ppo: PPOConfig = PPOConfig()
+    """Hyper-parameters of PPO."""
+    env: EnvConfig = TRAINING
+    """The task."""
+    curriculum: CurriculumConfig = CurriculumConfig()
+    """The levels."""
+    selector: SelectorConfig = SelectorConfig()
+    """Decisions of the learned selectors."""
+    supervised: SupervisedConfig = SupervisedConfig()
+    """Training of the supervised selector."""
+
+    @property
+    def root(self) -> Path:
+        """Folder that holds the runs."""
+        return Path(self.out or f"runs/{self.preset}")
+
+
+def existing(folder: str) -> str:
+    """Return a folder of runs that must be there; "" stands for the default, which need not be.
+
+    Raises
+    ------
+    UserError : there is no such folder
+    """
+    if folder and not Path(folder).is_dir():
+        raise UserError(f"no folder of runs at {folder}")
+    return folder
+
+
+def run_folder(root: Path, policy: str, seed: int) -> Path:
+    """Return the folder of one run."""
+    return Path(root) / find_policy(policy).name / f"seed{seed}"
+
+
+def find_weights(policy: str, config: TrainConfig) -> Path | None:
+    """Find the weights of a policy: own runs first, then those shipped; None where neither exists.
+
+    Raises
+    ------
+    UserError : unknown policy or preset, or shipped weights that are damaged
+    """
+    find_preset(config.preset)
+    own = run_folder(config.root, policy, config.seed)
+    return own / "policy.npz" if (own / "DONE").exists() else weights.shipped(config.preset, policy, config.seed)
+
+
+def weights_path(policy: str, config: TrainConfig) -> Path:
+    """Find the weights of a policy as :func:`find_weights` does.
+
+    Raises
+    ------
+    UserError : as there, or there are none; names the command that trains them
+    """
+    found = find_weights(policy, config)
+    if found:
+        return found
+    raise UserError(
+        f"no weights for {policy}, preset {config.preset}, seed {config.seed}; "
+        f"train them with: agility-ref train {policy} --preset {config.preset} --seed {config.seed}"
+    )
+
+
+def load_policy(policy: str, config: TrainConfig) -> Single | Hierarchy:
+    """Load a policy of Table 1, its skills included, ready to act."""
+    spec = find_policy(policy)
+    skills = load_skills(spec, config)
+    if spec.method == "oracle":
+        return oracle_hierarchy(policy, skills)
+    if spec.method == "ppo":
+        return Single(policy, load_skill(weights_path(policy, config), config.env))
+    path = weights_path(policy, config)
+    own = Policy.load(path)
+    _check_shape(own, own.obs_dim if own.obs_dim in (OBS_DIM, NUM_SCANDOTS) else OBS_DIM, len(skills))
+    found = digests(skills)
+    for name, digest in own.meta.get("skills", {}).items():
+        if found.get(name, digest) != digest:
+            raise UserError(f"{path} was trained over another {name} than {weights_path(name, config)}; train it again")
+    return selector_hierarchy(policy, skills, own)
+
+
+def check_interface(source: Path, meta: dict, env: EnvConfig) -> None:
+    """Refuse a policy whose actions mean something else in ``env``.
+
+    Raises
+    ------
+    UserError : names the file and the field that differs
+    """
+    trained = as_flags(meta.get("config", {}).get("env", {}))
+    here = as_flags(asdict(env))
+    for field in ("action-scale", "action-limit", "action-repeat", "physics.kp", "physics.kd"):
+        theirs, ours = trained.get(field, here[field]), here[field]
+        if theirs != ours:
+            raise UserError(f"{source} was trained with env.{field} {theirs}, this task has {ours}")
+
+
+def as_flags(settings: dict, prefix: str = "") -> dict[str, object]:
+    """Name nested settings as the command line does: {"ppo": {"num_envs": 4}} is {"ppo.num-envs": 4}."""
+    flat = {}
+    for key, value in settings.items():
+        name = prefix + key.replace("_", "-")
+        flat |= as_flags(value, f"{name}.") if isinstance(value, dict) else {name: value}
+    return flat
+
+
+def load_skills(spec: PolicySpec, config: TrainConfig) -> dict[str, Policy]:
+    """Load the frozen specialists of a hierarchy, in the order of its outputs."""
+    return {name: load_skill(weights_path(name, config), config.env) for name in spec.skills}
+
+
+def digests(skills: dict[str, Policy]) -> dict[str, str]:
+    """Name the very skills of a bank, as a selector records those it was trained over."""
+    return {name: skill.digest() for name, skill in skills.items()}
+
+
+def load_skill(path: Path, env: EnvConfig) -> Policy:
+    """Load a policy that moves the joints, as ``env`` wants them moved.
+
+    Raises
+    ------
+    UserError : unreadable, a selector, trained with a clock or with actions that mean something else
+    """
+    policy = Policy.load(path)
+    _check_shape(policy, OBS_DIM, ACTION_DIM)
+    check_interface(path, policy.meta, env)
+    return policy
+
+
+def _check_shape(policy: Policy, obs_dim: int, act_dim: int) -> None:
+    outputs = len(policy.layers[-1][1])
+    if (policy.obs_dim, outputs) != (obs_dim, act_dim):
+        raise UserError(
+            f"{policy.name}: network is {policy.obs_dim} -> {outputs}, this environment needs {obs_dim} -> {act_dim}"
+        )
