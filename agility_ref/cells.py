@@ -31,7 +31,7 @@ from agility_ref.task import EnvConfig
 # Files whose text decides what happens in an episode and how it is counted.
 SOURCES = (
     "terrain", "placement", "world", "go1", "rewards", "observation", "task", "simulation", "env", "checkpoint",
-    "policies", "selector", "evaluate", "runs",
+    "policies", "selector", "evaluate", "bank",
 )  # fmt: skip
 
 

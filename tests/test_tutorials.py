@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 TUTORIALS = sorted((Path(__file__).parent.parent / "tutorials").glob("[0-9]*.py"))
-TRAINING = ("03_",)
+TRAINING = ("03_", "04_")
 
 
 @pytest.mark.parametrize("script", [
