@@ -13,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
 import ablations
 import common
+import evaluation_seeds
 import fidelity
 import learning
 import physics
@@ -367,3 +368,33 @@ def test_skills_table_plays_what_there_is(tiny, tmp_path, capsys, finished_run):
         assert len(list(csv.DictReader(file))) == 2 * 6
     with pytest.raises(UserError, match="no weights for beam"):
         skills_table.main(replace(config, policies=("beam",)))
+
+
+# --- two evaluations ----------------------------------------------------------------------
+
+
+def test_agreement_by_hand():
+    one = np.array([[0.5, 0.4, 0.6], [0.5, 0.4, 0.6], [0.5, 0.4, 0.6], [0.2, 0.2, 0.2]])
+    two = np.array([[0.55, 0.45, 0.65], [0.63, 0.53, 0.73], [0.9, 0.8, 1.0], [0.2, 0.2, 0.2]])
+    found = evaluation_seeds.agreement(one, two)
+    # Half widths of 0.1 each: the difference may be sqrt(0.02) = 0.141.
+    assert found["difference within its interval"].tolist() == [True, True, False, True]
+    assert found["intervals overlap"].tolist() == [True, True, False, True]
+    assert found["second within the first's"].tolist() == [True, False, False, True]
+
+
+def test_agreement_does_not_depend_on_the_order():
+    rng = np.random.default_rng(0)
+    one, two = (np.sort(rng.random((50, 3)))[:, [1, 0, 2]] for _ in range(2))
+    for name in ("difference within its interval", "intervals overlap"):
+        there, back = (evaluation_seeds.agreement(*pair)[name] for pair in ((one, two), (two, one)))
+        assert (there == back).all() and 0 < there.mean() < 1
+
+
+def test_a_table_agrees_with_itself(capsys):
+    table = str(Path(common.__file__).parent.parent / "docs" / "full" / "table1.csv")
+    evaluation_seeds.main(evaluation_seeds.Config(table, table, json=True))
+    shares = json.loads(capsys.readouterr().out)["agreement"]
+    assert all(value == 1.0 for metric in shares.values() for name, value in metric.items() if name != "cells")
+    with pytest.raises(UserError, match="no table at nowhere"):
+        evaluation_seeds.read_cells("nowhere")
