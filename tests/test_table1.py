@@ -1,5 +1,12 @@
+import csv
+import json
 import math
+import platform
+import subprocess
+import sys
+from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -225,3 +232,19 @@ def test_both_names_of_a_selector_show_its_cell(tmp_path, played, finished_run):
     assert rows["PS-RL-3 (env)"].ours is None
     assert sum(name == "ps-rl-3-oracle" for name, _ in played) == 4  # once a terrain
     assert rows["PS-RL-3"].ours.steps == 1007  # 1000 of walk, nothing beyond it for climb and leap, 7 of its own
+
+
+# --- the published table ---------------------------------------------------------------
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="other processors round otherwise")
+@pytest.mark.skipif((mujoco.__version__, np.__version__) != ("4.0.0", "2.4.6"), reason="the table was made by others")
+def test_the_published_table_is_that_of_the_shipped_weights():
+    """To the last printed digit, on any processor; a process of its own, for numpy reads its settings once."""
+    with open(Path(__file__).parent.parent / "docs" / "full" / "table1.csv", newline="") as file:
+        published = {(row["environment"], row["policy"]): row for row in csv.DictReader(file)}["Beam", "CU"]
+    command = [sys.executable, "-m", "agility_ref", "evaluate", "climb-up", "--environment", "beam", "--seed", "1"]
+    played = json.loads(subprocess.run([*command, "--json"], capture_output=True, text=True, check=True).stdout)
+    for metric in METRICS:
+        assert f"{played[metric]['mean']:.4f}" == published[f"{metric}_mean_ours"]
+        assert f"{played[metric]['std']:.4f}" == published[f"{metric}_std_ours"]
