@@ -81,13 +81,15 @@ def plot_curves(argv: list[str]) -> None:
     """Draw learning curves."""
     from agility_ref.plots import learning_curves
     from agility_ref.progress import read_progress
+    from agility_ref.weights import shipped_curve
 
     @dataclass(frozen=True)
     class Curves:
         """Compare runs: a thin line a seed, a bold IQM, a 95 % band, wall time above."""
 
         runs: tyro.conf.Positional[tuple[str, ...]]
-        """Run folders, such as runs/full/leap/seed0; seeds of one policy are drawn together."""
+        """Run folders, such as runs/full/leap/seed0, or shipped weights, such as
+        agility_ref/weights/leap-full-seed0.npz; seeds of one policy are drawn together."""
         out: str = "curves.png"
         """File to write."""
         evaluate: str = ""
@@ -98,31 +100,35 @@ def plot_curves(argv: list[str]) -> None:
     args = tyro.cli(Curves, args=argv[2:], prog="agility-ref plot curves")
     if not args.runs:
         raise UserError("name at least one run folder")
-    policies = {Path(run).parent for run in args.runs}
+    # <folder>/<policy>/seed<k>, or <folder>/<policy>-<preset>-seed<k>.npz
+    homes = {
+        run: run.with_name(run.name.rsplit("-", 2)[0]) if run.is_file() else run.parent for run in map(Path, args.runs)
+    }
+    policies = set(homes.values())
     alone = len({policy.name for policy in policies}) == len(policies)
-    labels = {policy: policy.name if alone else str(policy) for policy in policies}
-    found: dict[str, list[Path]] = {}
+    found: dict[str, list[dict]] = {}
     points: dict[str, list[dict]] = {}
-    for run in map(Path, args.runs):
-        if not (run / "progress.csv").is_file():
+    for run, home in homes.items():
+        if not (run.is_file() or (run / "progress.csv").is_file()):
             raise UserError(f"{run} holds no progress.csv")
-        if "waypoint_fraction" not in read_progress(run / "progress.csv"):
-            raise UserError(f"{run} was trained by supervision: it has no returns to draw")
-        label = labels[run.parent]
-        found.setdefault(label, []).append(run / "progress.csv")
+        curve = shipped_curve(run) if run.is_file() else read_progress(run / "progress.csv")
+        if "waypoint_fraction" not in curve:
+            raise UserError(f"{run} has no returns to draw: not shipped weights, or trained by supervision")
+        label = home.name if alone else str(home)
+        found.setdefault(label, []).append(curve)
         if args.evaluate:
             points.setdefault(label, []).append(_evaluation_point(run, args.evaluate, args.episodes))
     _save(learning_curves(found, points), Path(args.out), argv)
 
 
 def _evaluation_point(run: Path, environment: str, episodes: int) -> dict:
-    """Evaluate the policy in a run folder; return its steps and its mean metrics."""
+    """Evaluate the policy in a run folder or file; return its steps and its mean metrics."""
     from agility_ref.bank import load_skill
     from agility_ref.evaluate import METRICS, EvaluationConfig, evaluate
     from agility_ref.selector import Single
     from agility_ref.task import EnvConfig
 
-    policy = load_skill(run / "policy.npz", EnvConfig())
+    policy = load_skill(run if run.is_file() else run / "policy.npz", EnvConfig())
     config = EvaluationConfig(episodes=episodes, preset=policy.meta.get("preset", "full"))
     result = evaluate(Single(policy.name, policy), environment, config)
     return {"steps": policy.meta["steps"], **{m: float(getattr(result, m).mean()) for m in METRICS}}

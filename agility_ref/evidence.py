@@ -99,8 +99,7 @@ def training_curve(policy: str, training: TrainConfig) -> dict[str, np.ndarray] 
         path = own / "progress.csv"
         curve = read_progress(path) if path.is_file() else {}
     else:
-        entry = weights.manifest(weights.FOLDER).get(weights.file_name(training.preset, policy, training.seed), {})
-        curve = {key: np.array(values) for key, values in entry.get("curve", {}).items()}
+        curve = weights.shipped_curve(weights.FOLDER / weights.file_name(training.preset, policy, training.seed))
     return curve if len(curve.get("level", ())) else None
 
 

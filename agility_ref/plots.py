@@ -195,7 +195,7 @@ def _wall_axis(axis, curve: dict[str, np.ndarray], whose: str = "") -> None:
 
 
 def learning_curves(
-    runs: dict[str, list[Path]],
+    runs: dict[str, list[dict[str, np.ndarray]]],
     evaluations: dict[str, list[dict[str, float]]] | None = None,
     metrics: tuple[str, ...] = ("waypoint_fraction", "level", "reward"),
 ):
@@ -203,7 +203,7 @@ def learning_curves(
 
     Parameters
     ----------
-    runs : policy -> the progress.csv of each of its seeds
+    runs : policy -> the progress of each of its seeds, one array a column
     evaluations : policy -> evaluations of its runs, each with ``steps`` and the metrics;
         drawn as diamonds, for they are played without exploration and on other courses
     metrics : columns of progress.csv, one panel each; read the waypoint fraction beside the
@@ -211,8 +211,7 @@ def learning_curves(
     """
     with style():
         figure, axes = new_figure(1, len(metrics), (4.8 * len(metrics), 4.9))
-        curves = {policy: [c for c in map(read_progress, paths) if c] for policy, paths in runs.items()}
-        curves = {policy: found for policy, found in curves.items() if found}
+        curves = {policy: [c for c in seeds if c] for policy, seeds in runs.items() if any(seeds)}
         for axis, metric in zip(axes[0], metrics, strict=True):
             for k, (policy, seeds) in enumerate(curves.items()):
                 points = (evaluations or {}).get(policy, [])

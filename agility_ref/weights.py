@@ -59,6 +59,12 @@ def shipped(preset: str, policy: str, seed: int, folder: Path = FOLDER) -> Path 
     return path
 
 
+def shipped_curve(path: Path) -> dict[str, np.ndarray]:
+    """Return the learning curve of a shipped file, thinned, one array a column; empty where its manifest has none."""
+    entry = manifest(path.parent).get(path.name, {})
+    return {key: np.array(values) for key, values in entry.get("curve", {}).items()}
+
+
 def _thin(values: np.ndarray) -> list[float]:
     """Keep about CURVE_POINTS values, the first and the last one among them."""
     kept = np.linspace(0, len(values) - 1, min(len(values), CURVE_POINTS + 1)).round().astype(int)

@@ -7,12 +7,13 @@ import pytest
 from conftest import random_arrays
 from PIL import Image
 
-from agility_ref import gallery, panels, pictures, plots
+from agility_ref import gallery, panels, pictures, plots, weights
 from agility_ref.checkpoint import Policy
 from agility_ref.cli import main
 from agility_ref.cli_pictures import PLOTS
 from agility_ref.evaluate import EvaluationConfig
 from agility_ref.go1 import FOOT_RADIUS, make_model
+from agility_ref.progress import read_progress
 from agility_ref.record import record
 from agility_ref.scene import LOOK_GROUP, find_edges, make_scene, waypoint_heights
 from agility_ref.selector import Single, oracle_hierarchy
@@ -201,7 +202,9 @@ def test_smooth_is_a_mean_over_the_window():
 
 
 def test_learning_curves_draw_every_seed_and_policy(tmp_path):
-    found = {p: [write_progress(tmp_path / p / f"seed{k}", k) for k in range(2)] for p in ("leap", "gen-3")}
+    found = {
+        p: [read_progress(write_progress(tmp_path / p / f"seed{k}", k)) for k in range(2)] for p in ("leap", "gen-3")
+    }
     point = {"steps": 40_000, "waypoint_fraction": 0.9, "reward": 30.0}
     figure = plots.learning_curves(found, {"leap": [point]})
     left = figure.axes[0]
@@ -225,11 +228,11 @@ def test_learning_curve_during_training(tmp_path):
 def test_one_row_of_progress_is_enough(tmp_path):
     progress = write_progress(tmp_path / "run", rows=1)
     assert plots.learning_curve(progress, tmp_path / "x.png", "leap")
-    plots.save_figure(plots.learning_curves({"leap": [progress]}), tmp_path / "y.png", "c")
+    plots.save_figure(plots.learning_curves({"leap": [read_progress(progress)]}), tmp_path / "y.png", "c")
 
 
 def test_learning_curves_show_the_level(tmp_path):
-    figure = plots.learning_curves({"leap": [write_progress(tmp_path / "leap" / "seed0")]})
+    figure = plots.learning_curves({"leap": [read_progress(write_progress(tmp_path / "leap" / "seed0"))]})
     labels = [axis.get_ylabel() for axis in figure.axes]
     assert labels == ["waypoint fraction, exploring", "level / top level", "return per episode"]
 
@@ -357,6 +360,17 @@ def test_plot_curves_with_evaluation(trained, capsys):
     assert (trained / "curves.png").is_file()
 
 
+def test_plot_curves_of_shipped_weights(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    files = [str(weights.FOLDER / weights.file_name("full", name, 0)) for name in ("walk", "gen-3")]
+    drawn = []
+    monkeypatch.setattr(plots, "learning_curves", lambda *args: drawn.append(args) or plots.new_figure()[0])
+    assert main(["plot", "curves", *files]) == 0
+    ((curves, points),) = drawn
+    assert list(curves) == ["walk", "gen-3"] and points == {}
+    assert curves["walk"][0]["steps"][-1] > 1_990_000 and "level" in curves["gen-3"][0]
+
+
 @pytest.mark.parametrize("command, expected", [
     ("strob walk", ["strob", "strobe", "progress.csv"]),
     ("strobe walkk --environment gap", ["unknown policy 'walkk'", "walk"]),
@@ -365,6 +379,7 @@ def test_plot_curves_with_evaluation(trained, capsys):
     ("oracle-map walk --environment gap --robots 0", ["--robots"]),
     ("curves", ["run folder"]),
     ("curves nowhere", ["nowhere", "progress.csv"]),
+    ("curves runs/full/walk/seed0/policy.npz", ["policy.npz", "not shipped weights"]),
 ])  # fmt: skip
 def test_bad_plots_are_one_line(trained, capsys, command, expected):
     assert main(["plot", *command.split()]) == 2

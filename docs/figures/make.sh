@@ -11,9 +11,7 @@ agility-ref plot strobe gen-5 --environment beam --difficulty 0.5 --out docs/fig
 agility-ref plot oracle-map oracle --environment climb-gap --out docs/figures/oracle-map.png
 agility-ref plot oracle-map ps-rl-3 --environment climb-gap --out docs/figures/selector-map.png
 agility-ref plot episode walk --environment walk --out docs/figures/episode.png
-if [ -d runs/full/gen-3 ]; then
-  agility-ref plot curves runs/full/gen-3/seed* runs/full/gen-5/seed* runs/full/climb-up/seed* runs/full/climb-down/seed* runs/full/beam/seed* --out docs/figures/curves.png
-fi
+agility-ref plot curves agility_ref/weights/gen-3-full-seed0.npz agility_ref/weights/gen-5-full-seed0.npz agility_ref/weights/climb-up-full-seed0.npz agility_ref/weights/climb-down-full-seed0.npz agility_ref/weights/beam-full-seed0.npz --out docs/figures/curves.png
 agility-ref video oracle --environment climb-gap --difficulty 0.3 --course 2 --seconds 6 --fps 16 --width 400 --height 300 --quality 50 --out docs/figures/oracle.webp
 agility-ref video gen-5 --environment beam --difficulty 0.5 --seconds 6 --fps 16 --width 400 --height 300 --quality 50 --out docs/figures/beam.webp
 for d in 0.5 1; do
