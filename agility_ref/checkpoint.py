@@ -25,6 +25,14 @@ from agility_ref.errors import UserError
 SCHEMA = "agility_ref/1"
 
 
+def processor() -> str:
+    """Name the processor: its model where the system tells it, else its architecture."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.processor() or platform.machine()
+
+
 def versions() -> dict[str, str]:
     """Return the versions and the machine that a checkpoint records."""
     import mujoco
@@ -33,7 +41,7 @@ def versions() -> dict[str, str]:
         "python": platform.python_version(),
         "numpy": np.__version__,
         "mujoco": mujoco.__version__,
-        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "machine": f"{processor()}, {os.cpu_count()} cores",
     }
 
 

@@ -28,6 +28,7 @@ import numpy as np
 import tyro
 from mujoco import batch
 
+from agility_ref.checkpoint import processor
 from agility_ref.curriculum import Curriculum, CurriculumConfig, training_world
 from agility_ref.errors import UserError
 from agility_ref.go1 import DEFAULT_DOF_POS, STAND_HEIGHT, PhysicsConfig, make_model, make_xml
@@ -96,11 +97,6 @@ def available_cores() -> int:
 
 def machine() -> dict:
     """Return the hardware, how busy it was, and the versions, JSON-ready."""
-    cpu = platform.processor() or platform.machine()
-    if os.path.exists("/proc/cpuinfo"):
-        with open("/proc/cpuinfo") as file:
-            names = [line.split(":", 1)[1].strip() for line in file if line.startswith("model name")]
-        cpu = names[0] if names else cpu
     versions = {"python": platform.python_version()}
     for package in ("agility-ref", "mujoco", "numpy", "torch", "envpool", "stable-baselines3"):
         try:
@@ -108,7 +104,7 @@ def machine() -> dict:
         except metadata.PackageNotFoundError:
             pass
     return {
-        "cpu": cpu,
+        "cpu": processor(),
         "cores": available_cores(),
         "system": f"{platform.system()} {platform.machine()}",
         "load_average": os.getloadavg()[0],  # of the minute before: above 0.3 the machine was not quiet

@@ -216,3 +216,7 @@ def test_normaliser_that_does_not_fit(path, learner):
 def test_foreign_layer_names(path, learner):
     checkpoint.save(path, learner.arrays() | {"actor.first.weight": np.zeros((2, 2), np.float32)}, META)
     refused(path, "actor")
+
+
+def test_a_checkpoint_names_the_processor():
+    assert checkpoint.processor() and checkpoint.versions()["machine"].startswith(checkpoint.processor())
