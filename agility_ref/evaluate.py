@@ -31,6 +31,8 @@ from agility_ref.world import World
 METRICS = ("reward", "episode_length", "waypoint_fraction", "edge_violation")
 PROTOCOLS = ("complete", "as-published")
 
+GOLDEN_RATIO = (5**0.5 - 1) / 2  # steps of this share of a circle fill it most evenly
+
 PUBLISHED_EPISODES = 1.5  # length of an as-published run, in longest episodes: 1500 control steps
 PUBLISHED_MEMORY = 1000  # the latest values of each metric that the original keeps
 PUBLISHED_WAYPOINTS = 7.0  # the original divides by 7 where a course has 8 waypoints
@@ -183,6 +185,12 @@ def mean_std(values: np.ndarray, metric: str, protocol: str) -> tuple[float, flo
 def evaluation_world(environment: str, config: EvaluationConfig) -> World:
     """Build the courses of an evaluation; the same for every policy.
 
+    Each difficulty is uniform, but together they are spread evenly (a Kronecker sequence), however many there are::
+
+        d_k = frac(d_0 + k (sqrt 5 - 1) / 2),   d_0 ~ U(0, 1)
+
+    Independent draws would make one evaluation easier than another for all policies at once.
+
     Raises
     ------
     UserError : unknown environment, preset or protocol, difficulty outside [0, 1], no episodes
@@ -199,10 +207,12 @@ def evaluation_world(environment: str, config: EvaluationConfig) -> World:
         raise UserError(f"difficulty must be between 0 and 1, not {config.difficulty}")
     highest = find_preset(config.preset).max_difficulty
     kind = COURSE_KINDS.index(environment)
-    courses = []
+    courses, first = [], 0.0
     for episode in range(config.episodes):
         rng = np.random.default_rng([config.seed, 77, kind, episode])  # no training world uses these
-        d = rng.uniform(0.0, highest)
+        drawn = rng.random()  # of every course, so that its layout does not depend on how d is chosen
+        first = first if episode else drawn
+        d = highest * ((first + episode * GOLDEN_RATIO) % 1.0)
         courses.append(make_course(environment, d if config.difficulty is None else config.difficulty, rng))
     return World(courses)
 

@@ -185,6 +185,16 @@ def test_difficulties_are_drawn_from_the_presets_range(preset, highest):
     assert d.min() >= 0 and 0.8 * highest < d.max() <= highest
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_difficulties_are_spread_evenly(seed):
+    d = evaluation_world("gap", EvaluationConfig(episodes=64, seed=seed)).difficulties
+    for n in (16, 32, 64):  # independent draws put 0 to 6 of 16 into a quarter
+        counts = np.histogram(d[:n], 4, (0.0, 1.0))[0]
+        assert np.abs(counts - n / 4).max() <= 1.5
+    # d_k+1 - d_k is the golden ratio, but for whole turns
+    np.testing.assert_allclose(np.diff(d) % 1.0, (5**0.5 - 1) / 2, atol=1e-12)
+
+
 def test_difficulty_can_be_fixed():
     assert (evaluation_world("gap", EvaluationConfig(episodes=3, difficulty=0.3)).difficulties == 0.3).all()
 
