@@ -8,13 +8,14 @@ does not fit the task or its skills.
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from agility_ref import weights
+from agility_ref import checkpoint, weights
 from agility_ref.checkpoint import Policy
 from agility_ref.curriculum import CurriculumConfig
+from agility_ref.distill import DistillConfig
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
-from agility_ref.policies import PolicySpec, PPOConfig, find_policy, find_preset
+from agility_ref.policies import PPOConfig, find_policy, find_preset
 from agility_ref.selector import (
     Hierarchy,
     SelectorConfig,
@@ -54,6 +55,8 @@ class TrainConfig:
     """Decisions of the learned selectors."""
     supervised: SupervisedConfig = SupervisedConfig()
     """Training of the supervised selector."""
+    distill: DistillConfig = DistillConfig()
+    """Training of the distilled policy."""
 
     @property
     def root(self) -> Path:
@@ -109,10 +112,10 @@ def weights_path(policy: str, config: TrainConfig) -> Path:
 def load_policy(policy: str, config: TrainConfig) -> Single | Hierarchy:
     """Load a policy of Table 1, its skills included, ready to act."""
     spec = find_policy(policy)
-    skills = load_skills(spec, config)
+    skills = load_bank(spec.skills, config)
     if spec.method == "oracle":
         return oracle_hierarchy(policy, skills)
-    if spec.method == "ppo":
+    if not skills:
         return Single(policy, load_skill(weights_path(policy, config), config.env))
     path = weights_path(policy, config)
     own = Policy.load(path)
@@ -148,9 +151,26 @@ def as_flags(settings: dict, prefix: str = "") -> dict[str, object]:
     return flat
 
 
-def load_skills(spec: PolicySpec, config: TrainConfig) -> dict[str, Policy]:
-    """Load the frozen specialists of a hierarchy, in the order of its outputs."""
-    return {name: load_skill(weights_path(name, config), config.env) for name in spec.skills}
+def load_bank(names: tuple[str, ...], config: TrainConfig) -> dict[str, Policy]:
+    """Load frozen specialists, in the order given."""
+    return {name: load_skill(weights_path(name, config), config.env) for name in names}
+
+
+def bank_steps(names: tuple[str, ...], config: TrainConfig) -> int:
+    """Environment steps spent on a bank of policies, a common warm start counted once.
+
+    Checkpoints count their warm start.  With s_k the steps of policy k and w_k those it started
+    from if its warm start is in the bank too (0 otherwise)::
+
+        steps = sum over k of (s_k - w_k)
+
+    Raises
+    ------
+    UserError : weights are missing or unreadable
+    """
+    records = {name: checkpoint.load(weights_path(name, config))[1] for name in names}
+    shared = [records[name].get("start", 0) for name in names if find_policy(name).warm_start in names]
+    return sum(record["steps"] for record in records.values()) - sum(shared)
 
 
 def digests(skills: dict[str, Policy]) -> dict[str, str]:

@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 
 from agility_ref import checkpoint
-from agility_ref.bank import TrainConfig, load_policy, weights_path
+from agility_ref.bank import TrainConfig, bank_steps, load_policy, weights_path
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS, EvaluationConfig, evaluate
 from agility_ref.policies import find_policy
@@ -126,24 +126,16 @@ def code_digest() -> str:
 
 
 def steps_spent(policy: str, training: TrainConfig) -> int:
-    """Environment steps behind a policy: its own and its skills', a common warm start counted once.
-
-    Checkpoints count their warm start.  Of a bank, with s_k the steps of skill k and w_k those
-    it started from if its warm start is in the bank too (0 otherwise)::
-
-        steps = own + sum over k of (s_k - w_k)
+    """Environment steps behind a policy: its own, and those of the bank that it chooses from or has learned from.
 
     Raises
     ------
     UserError : weights are missing or unreadable
     """
     spec = find_policy(policy)
-    records = {name: checkpoint.load(weights_path(name, training))[1] for name in acting_policies(policy)}
-    total = sum(record["steps"] for record in records.values())
-    for name in spec.skills:
-        if find_policy(name).warm_start in spec.skills:
-            total -= records[name].get("start", 0)
-    return total
+    own = 0 if spec.method == "oracle" else checkpoint.load(weights_path(policy, training))[1]["steps"]
+    teachers = find_policy(spec.warm_start).teachers if spec.warm_start else spec.teachers
+    return own + bank_steps(spec.skills + teachers, training)
 
 
 def read_cell(path: Path, meta: dict) -> Cell | None:

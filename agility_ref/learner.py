@@ -28,6 +28,8 @@ class Learner:
     """Environment steps so far, warm start included."""
     start: int = 0
     """Of these, the warm start's."""
+    actor_start: int = 0
+    """Environment steps up to which the critic learns alone, see :meth:`warm_start`."""
     anneal: float = 1.0
     """Factor of KL target and lowest step size; see :func:`schedule`."""
 
@@ -39,6 +41,11 @@ class Learner:
         self.actor_optimizer = torch.optim.Adam(actor, self.learning_rate, fused=True)
         self.critic_optimizer = torch.optim.Adam(self.net.critic.parameters(), self.learning_rate, fused=True)
         self.generator = torch.Generator().manual_seed(self.seed)
+
+    @property
+    def actor_rests(self) -> bool:
+        """Whether the critic still learns alone."""
+        return self.steps < self.actor_start
 
     @classmethod
     def create(
@@ -64,8 +71,11 @@ class Learner:
         }  # fmt: skip
 
     def training_arrays(self) -> dict[str, np.ndarray]:
-        """Return what resuming needs beyond :meth:`arrays`: Adam's moments and the rate."""
-        state = {"optimizer.learning_rate": np.array(self.learning_rate)}
+        """Return what resuming needs beyond :meth:`arrays`: Adam's moments, the rate, when the actor starts."""
+        state = {
+            "optimizer.learning_rate": np.array(self.learning_rate),
+            "optimizer.actor_start": np.array(self.actor_start),
+        }
         for name, parameter in self.net.named_parameters():
             for key, value in self._optimizer(name).state.get(parameter, {}).items():
                 state[f"optimizer.{name}.{key}"] = value.numpy().copy()
@@ -91,6 +101,7 @@ class Learner:
         n.mean[:], n.var[:] = arrays["normalizer.mean"], arrays["normalizer.var"]
         n.count = float(arrays["normalizer.count"])
         self.learning_rate = float(arrays.get("optimizer.learning_rate", self.learning_rate))
+        self.actor_start = int(arrays.get("optimizer.actor_start", self.actor_start))
         for name, parameter in self.net.named_parameters():
             keys = ("step", "exp_avg", "exp_avg_sq")
             if f"optimizer.{name}.step" in arrays:
@@ -98,8 +109,17 @@ class Learner:
                     key: torch.from_numpy(arrays[f"optimizer.{name}.{key}"].copy()) for key in keys
                 }
 
-    def warm_start(self, arrays: dict[str, np.ndarray], steps: int, std: float) -> None:
-        """Go on from another policy's network after its ``steps``, with a fresh optimiser and exploration noise ``std``."""
-        self.load_arrays({name: a for name, a in arrays.items() if not name.startswith("optimizer.")})
-        self.steps = self.start = steps
+    def warm_start(self, arrays: dict[str, np.ndarray], steps: int, std: float, critic_steps: int = 0) -> None:
+        """Go on from another policy's network after its ``steps``, with a fresh optimiser and exploration noise ``std``.
+
+        A policy that was not learned from rewards has no critic.  The values of a new one would
+        ruin its actor, which therefore rests for the first ``critic_steps`` environment steps, and
+        starts with small ones.
+        """
+        self.steps = self.start = self.actor_start = steps
+        if not any(name.startswith("critic.") for name in arrays):
+            self.actor_start += critic_steps
+            self.learning_rate = self.config.learning_rate_min
+        own = {name: array for name, array in self.arrays().items() if not name.startswith(("actor.", "normalizer."))}
+        self.load_arrays(own | {name: a for name, a in arrays.items() if not name.startswith("optimizer.")})
         self.net.log_std.data.fill_(float(np.log(std)))

@@ -8,6 +8,7 @@ In:  observations (n, obs_dim).  Out: distributions over actions, and values.
 """
 
 import itertools
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import torch
@@ -60,6 +61,43 @@ def mlp(sizes: list[int], last_gain: float) -> nn.Sequential:
         nn.init.zeros_(linear.bias)
         modules += [linear] if last else [linear, nn.ELU()]
     return nn.Sequential(*modules)
+
+
+def fit(
+    parameters: Iterable[nn.Parameter],
+    loss: Callable[[torch.Tensor], torch.Tensor],
+    num_states: int,
+    epochs: int,
+    batch_size: int,
+    learning_rate: float,
+    generator: torch.Generator,
+    anneal: bool = False,
+) -> list[float]:
+    """Minimise a loss over recorded states with Adam; return its mean in each epoch.
+
+    Parameters
+    ----------
+    parameters : what may change
+    loss : indices of states (n,) -> mean loss over them
+    num_states : states there are
+    epochs, batch_size, learning_rate, generator : passes, states a gradient step, step size, who shuffles
+    anneal : let the step size fall to zero on a straight line
+    """
+    optimizer = torch.optim.Adam(parameters, learning_rate, fused=True)
+    losses, done, total = [], 0, epochs * -(-num_states // batch_size)
+    for _ in range(epochs):
+        summed = 0.0
+        for mb in torch.randperm(num_states, generator=generator).split(batch_size):
+            if anneal:
+                optimizer.param_groups[0]["lr"] = learning_rate * (1.0 - done / total)
+            value = loss(mb)
+            optimizer.zero_grad()
+            value.backward()
+            optimizer.step()
+            done += 1
+            summed += float(value.detach()) * len(mb)
+        losses.append(summed / num_states)
+    return losses
 
 
 class ActorCritic(nn.Module):

@@ -1,8 +1,8 @@
 """The policies of Table 1, as data: what each is, trains on and may spend, and with which PPO.
 
-Paper sections 3.1.1 (specialists), 3.2 (selectors) and 4 (generalists).  Budgets are in
-environment steps and **include the warm start**; a generalist may spend as much as all the
-specialists it replaces together.
+Paper sections 3.1.1 (specialists), 3.2 (selectors), 4 (generalists) and 5 (the post-generalist,
+its future work).  Budgets are in environment steps and **include the warm start**; a generalist may
+spend as much as all the specialists it replaces together.
 """
 
 from dataclasses import dataclass
@@ -79,7 +79,7 @@ class PolicySpec:
     label: str
     """As the paper prints it, where it does."""
     method: str
-    """ppo, oracle, supervised (selector) or ppo-selector."""
+    """ppo, oracle, supervised (selector), ppo-selector or distilled."""
     courses: tuple[str, ...] = ()
     """Course kinds it trains on, in equal shares."""
     budget: tuple[int, int] = (0, 0)
@@ -88,6 +88,8 @@ class PolicySpec:
     """Policy whose weights it starts from."""
     skills: tuple[str, ...] = ()
     """Frozen policies that a selector chooses from, in the order of its outputs."""
+    teachers: tuple[str, ...] = ()
+    """Frozen policies that a distilled one imitates, each where the oracle would choose it."""
     reward: str = "environment"
     """What a ppo-selector is rewarded with: environment, or oracle (+1 right, -1 wrong)."""
 
@@ -99,6 +101,7 @@ class PolicySpec:
 M = 1_000_000
 FIVE = ("walk", "climb-up", "climb-down", "leap", "beam")  # in the order of terrain.SKILLS
 THREE = ("walk", "climb", "leap")
+SEVEN = ("climb-up", "climb-down", "climb", "gap", "beam", "walk", "climb-gap")  # all kinds of course
 
 _SPECS = (
     PolicySpec("climb-up", "CU", "ppo", ("climb-up",), (2_300_000, 10 * M), "walk"),
@@ -116,15 +119,16 @@ _SPECS = (
         "ps-rl-3-oracle", "PS-RL-3 (oracle)", "ppo-selector", ("climb", "gap", "climb-gap"),
         (300_000, 2 * M), skills=THREE, reward="oracle",
     ),
-    PolicySpec(
-        "ps-sl-5", "PS-SL-5", "supervised",
-        ("climb-up", "climb-down", "climb", "gap", "beam", "walk", "climb-gap"),
-        (300_000, 1 * M), skills=FIVE,
-    ),
+    PolicySpec("ps-sl-5", "PS-SL-5", "supervised", SEVEN, (300_000, 1 * M), skills=FIVE),
     PolicySpec("gen-3", "GEN-3", "ppo", ("climb", "gap", "walk"), (3_600_000, 25 * M), "walk"),
     PolicySpec(
         "gen-5", "GEN-5", "ppo", ("climb-up", "climb-down", "gap", "beam", "walk"),
         (4_700_000, 42 * M), "walk",
+    ),
+    PolicySpec("distilled", "Distilled", "distilled", SEVEN, (300_000, 1 * M), teachers=FIVE),
+    PolicySpec(
+        "post-gen", "Post-GEN", "ppo", ("climb", "gap", "beam", "walk", "climb-gap"),
+        (1_500_000, 15 * M), "distilled",
     ),
 )  # fmt: skip
 POLICIES = {spec.name: spec for spec in _SPECS}
@@ -162,7 +166,7 @@ def find_preset(name: str) -> Preset:
 def requirements(name: str) -> tuple[str, ...]:
     """Names of the policies that must be trained before this one, in order."""
     spec = find_policy(name)
-    first = ((spec.warm_start,) if spec.warm_start else ()) + spec.skills
+    first = ((spec.warm_start,) if spec.warm_start else ()) + spec.skills + spec.teachers
     ordered: list[str] = []
     for other in first:
         ordered += [p for p in (*requirements(other), other) if p not in ordered]

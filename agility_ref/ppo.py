@@ -162,7 +162,7 @@ def update_actor(learner: Learner, batches: list[Batch]) -> dict[str, float]:
     """Take one gradient step on the policy per minibatch and pass; return mean losses, KL and clip fraction."""
     c, net, dist = learner.config, learner.net, learner.distribution
     sums = {"policy_loss": 0.0, "entropy": 0.0, "kl": 0.0, "clip_fraction": 0.0}
-    for mb in batches * c.update_epochs:
+    for mb in [] if learner.actor_rests else batches * c.update_epochs:
         new = dist.parameters(net, mb.obs)
         log_prob = dist.log_prob(new, mb.actions)
         with torch.no_grad():
@@ -238,7 +238,8 @@ def update(learner: Learner, rollout: Rollout) -> dict[str, float]:
     ]
     with ThreadPoolExecutor(2) as pool:
         # The critic keeps the step size of the start, the actor steers it by the KL divergence.
-        critic = pool.submit(update_critic, learner, batches, learner.learning_rate)
+        rate = c.learning_rate if learner.actor_rests else learner.learning_rate
+        critic = pool.submit(update_critic, learner, batches, rate)
         actor = pool.submit(update_actor, learner, batches)
     learner.normalizer.update(rollout.raw_obs.reshape(-1, rollout.raw_obs.shape[-1]))
     return actor.result() | critic.result()

@@ -25,18 +25,26 @@ from agility_ref.bank import (
     check_interface,
     digests,
     find_weights,
-    load_skills,
+    load_bank,
     run_folder,
     weights_path,
 )
 from agility_ref.checkpoint import Policy
 from agility_ref.curriculum import Curriculum, training_world
+from agility_ref.distill import collect_actions, fit_student
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.errors import UserError
-from agility_ref.observation import NUM_SCANDOTS, SCANDOTS
+from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.policies import PolicySpec, find_policy, find_preset, requirements
 from agility_ref.progress import ProgressLog, StopRequest, read_rows, write_csv, write_text
-from agility_ref.selector import SelectorEnv, collect_labels, fit_selector, oracle_hierarchy, selector_hierarchy
+from agility_ref.selector import (
+    SelectorEnv,
+    Single,
+    collect_labels,
+    fit_selector,
+    oracle_hierarchy,
+    selector_hierarchy,
+)
 
 if TYPE_CHECKING:
     from agility_ref.learner import Learner
@@ -67,6 +75,11 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
         ("supervised.dagger-rounds", config.supervised.dagger_rounds, 0),
         ("supervised.epochs", config.supervised.epochs, 1),
         ("supervised.batch-size", config.supervised.batch_size, 1),
+        ("distill.dagger-rounds", config.distill.dagger_rounds, 0),
+        ("distill.action-noise", config.distill.action_noise, 0),
+        ("distill.epochs", config.distill.epochs, 1),
+        ("distill.batch-size", config.distill.batch_size, 1),
+        ("distill.critic-steps", config.distill.critic_steps, 0),
     ):
         if not given >= least:
             raise UserError(f"{what} must be at least {least}, got {given}")
@@ -86,12 +99,12 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
         shutil.rmtree(aside, ignore_errors=True)
         folder.rename(aside)  # until the new run is finished
     try:
-        needs = requirements(name) if config.warm_start else spec.skills
+        needs = requirements(name) if config.warm_start else spec.skills + spec.teachers
         for other in needs:
             if find_weights(other, config) is None:
                 train_policy(other, replace(config, steps=0, overwrite=False), quiet)
         folder.mkdir(parents=True, exist_ok=True)
-        (_train_supervised if spec.method == "supervised" else _train_ppo)(spec, config, folder, quiet)
+        (_imitate if spec.method in ("supervised", "distilled") else _train_ppo)(spec, config, folder, quiet)
     except UserError:
         if replaces:
             shutil.rmtree(folder, ignore_errors=True)
@@ -132,7 +145,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     act_dim = len(spec.skills) if selector else ACTION_DIM
     distribution = Categorical if selector else Gaussian
     learner = Learner.create(config.env.obs_dim, act_dim, ppo, config.seed, distribution, fixed=SCANDOTS)
-    skills = load_skills(spec, config)
+    skills = load_bank(spec.skills, config)
     bank = digests(skills)
     if selector:
         env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward, config.selector, config.ppo.gamma)
@@ -209,36 +222,54 @@ def _resume_or_warm_start(
                 f"{source} has hidden layers of {hidden} units, not {config.ppo.hidden}; "
                 f"train {spec.warm_start} with the same flags and --out first"
             )
-        learner.warm_start(arrays, meta["steps"], config.warm_std)
+        # A distilled policy knows its way: noise as after a walk would only throw it off.
+        distilled = find_policy(spec.warm_start).method == "distilled"
+        std = config.distill.std if distilled else config.warm_std
+        learner.warm_start(arrays, meta["steps"], std, config.distill.critic_steps)
     return []
 
 
-def _train_supervised(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -> None:
-    """Collect oracle labels and fit the selector (paper section 3.2.3)."""
+def _imitate(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -> None:
+    """Collect what the oracle says, learn it, act, and collect again (paper sections 3.2.3 and 5)."""
     start = time.monotonic()
     config = replace(config, curriculum=replace(config.curriculum, enabled=False))
     env, _ = make_env(spec, config)
-    skills = load_skills(spec, config)
+    selector = spec.method == "supervised"
+    bank = load_bank(spec.skills if selector else spec.teachers, config)
     _write_config(spec, config, folder)
-    oracle = oracle_hierarchy("oracle", skills)
-    rounds = config.supervised.dagger_rounds + 1
+    oracle = oracle_hierarchy("oracle", bank)
+    how = config.supervised if selector else config.distill
     total = config.steps or spec.steps(config.preset)
+    share = -(-total // (how.dagger_rounds + 1))
+    meta = {
+        "policy": spec.name, "preset": config.preset, "seed": config.seed, "courses": spec.courses,
+        "versions": checkpoint.versions(), "config": asdict(config), "skills" if selector else "teachers": digests(bank),
+    }  # fmt: skip
+    if selector:
+        meta |= {"obs_dim": NUM_SCANDOTS, "act_dim": len(bank), "decision_steps": config.selector.decision_steps}
+    else:
+        meta |= {"obs_dim": OBS_DIM, "act_dim": ACTION_DIM}
     actor, data, rows = oracle, [], []
-    for k in range(rounds):
-        data.append(collect_labels(env, actor, oracle, -(-total // rounds)))
-        scandots, labels = (np.concatenate(part) for part in zip(*data, strict=True))
-        arrays, losses = fit_selector(scandots, labels, len(skills), config.supervised, config.seed)
-        meta = {
-            "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": len(labels),
-            "courses": spec.courses, "act_dim": len(skills), "obs_dim": NUM_SCANDOTS,
-            "versions": checkpoint.versions(), "wall_seconds": time.monotonic() - start,
-            "decision_steps": config.selector.decision_steps, "config": asdict(config),
-            "skills": digests(skills),
-        }  # fmt: skip
-        actor = selector_hierarchy(spec.name, skills, Policy.from_arrays(arrays, meta))
-        rows += [{"round": k, "states": len(labels), "epoch": e, "cross_entropy": v} for e, v in enumerate(losses)]
+    for k in range(how.dagger_rounds + 1):
+        if selector:
+            data.append(collect_labels(env, actor, oracle, share))
+        else:
+            data.append(collect_actions(env, actor, oracle, share, how.action_noise))
+        data = [tuple(np.concatenate(part) for part in zip(*data, strict=True))]
+        seen, wanted = data[0]
+        if selector:
+            arrays, losses = fit_selector(seen, wanted, len(bank), how, config.seed)
+        else:
+            arrays, losses = fit_student(seen, wanted, config.ppo.hidden, how, config.seed)
+        meta |= {"steps": len(wanted), "wall_seconds": time.monotonic() - start}
+        policy = Policy.from_arrays(arrays, meta)
+        actor = selector_hierarchy(spec.name, bank, policy) if selector else Single(spec.name, policy)
+        loss = "cross_entropy" if selector else "squared_error"
+        rows += [{"round": k, "states": len(wanted), "epoch": e, loss: v} for e, v in enumerate(losses)]
         if not quiet:
-            print(f"{spec.name}: round {k}, {len(labels)} states, cross-entropy {losses[-1]:.4f}")
+            print(
+                f"{spec.name}: round {k}, {len(wanted)} states, {loss.replace('_', ' ')} {losses[-1]:.4f}", flush=True
+            )
     write_csv(folder / "progress.csv", rows)
     checkpoint.save(folder / "policy.npz", arrays, meta)
-    write_text(folder / "DONE", f"{len(labels)} states\n")
+    write_text(folder / "DONE", f"{len(wanted)} states\n")

@@ -246,24 +246,17 @@ def fit_selector(
     import torch
     from torch import nn
 
-    from agility_ref.networks import Normalizer, mlp
+    from agility_ref.networks import Normalizer, fit, mlp
 
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     normalizer = Normalizer(scandots.shape[1], slice(0, scandots.shape[1]), 0.3)
     net = mlp([scandots.shape[1], *config.hidden, num_skills], 0.01)
-    optimizer = torch.optim.Adam(net.parameters(), config.learning_rate, fused=True)
     x, y = torch.from_numpy(normalizer(scandots)), torch.from_numpy(labels)
-    losses = []
-    for _ in range(config.epochs):
-        total = 0.0
-        for mb in torch.randperm(len(x), generator=generator).split(config.batch_size):
-            loss = nn.functional.cross_entropy(net(x[mb]), y[mb])
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            total += float(loss.detach()) * len(mb)
-        losses.append(total / len(x))
+    losses = fit(
+        net.parameters(), lambda mb: nn.functional.cross_entropy(net(x[mb]), y[mb]),
+        len(x), config.epochs, config.batch_size, config.learning_rate, generator,
+    )  # fmt: skip
     arrays = {f"actor.{name}": p.detach().numpy().copy() for name, p in net.named_parameters()}
     return arrays | {"normalizer.mean": normalizer.mean, "normalizer.var": normalizer.var}, losses

@@ -54,11 +54,13 @@ def check_skill(name: str) -> None:
 
     Raises
     ------
-    UserError : unknown policy, or a selector
+    UserError : unknown policy, or one that needs others trained first
     """
-    spec = find_policy(name)
-    if spec.method != "ppo":
-        raise UserError(f"{name} chooses among trained skills; give one that learns to move, such as {spec.skills[0]}")
+    for other in (name, *requirements(name)):
+        if find_policy(other).method != "ppo":
+            raise UserError(
+                f"{name} learns from trained skills; give one that learns to move from scratch, such as walk"
+            )
 
 
 def own_courses(name: str, preset: str, episodes: int, task: EnvConfig = EnvConfig()) -> Judge:

@@ -22,6 +22,8 @@ def bank(tmp_path, monkeypatch, finished_run):
     for name, steps in zip(FIVE, (100, 250, 220, 300, 180), strict=True):
         finished_run(tmp_path / "runs", name, steps=steps, start=0 if name == "walk" else 100)
     finished_run(tmp_path / "runs", "ps-sl-5", steps=50, obs_dim=132, act_dim=5)
+    finished_run(tmp_path / "runs", "distilled", steps=40)
+    finished_run(tmp_path / "runs", "post-gen", steps=90, start=40)
     return TrainConfig(out=str(tmp_path / "runs"))
 
 
@@ -146,6 +148,8 @@ def test_missing_weights_name_the_command(bank):
     # walk 100; the others without it: 150 + 120 + 200 + 80
     ("oracle", 650),
     ("ps-sl-5", 700),  # 50 of its own
+    ("distilled", 690),  # the bank, and 40 states
+    ("post-gen", 740),  # those 40 among its 90
 ])  # fmt: skip
 def test_steps_spent_by_hand(bank, policy, expected):
     assert steps_spent(policy, bank) == expected

@@ -7,6 +7,7 @@ from agility_ref.networks import (
     Categorical,
     Gaussian,
     Normalizer,
+    fit,
     gaussian_entropy,
     gaussian_kl,
     gaussian_log_prob,
@@ -122,6 +123,37 @@ def test_categorical_samples_have_the_stated_frequencies():
 
 
 # --- network ---------------------------------------------------------------------------
+
+
+def test_fit_takes_adams_steps():
+    # Adam's first step is the step size times the sign of the gradient: 1 - 0.1, then further down.
+    x = torch.nn.Parameter(torch.tensor([1.0]))
+    generator = torch.Generator().manual_seed(0)
+    assert fit([x], lambda mb: (x**2).sum(), 1, 1, 1, 0.1, generator) == [1.0]
+    np.testing.assert_allclose(x.detach(), [0.9], atol=1e-6)
+
+
+def test_fit_meets_every_state_once_an_epoch_and_averages_over_them():
+    seen = []
+    x = torch.nn.Parameter(torch.zeros(1))
+
+    def loss(mb):
+        seen.append(mb.tolist())
+        return mb.float().mean() + 0.0 * x.sum()
+
+    losses = fit([x], loss, 5, 2, 2, 0.1, torch.Generator().manual_seed(0))
+    assert [len(mb) for mb in seen] == [2, 2, 1] * 2
+    for epoch in (seen[:3], seen[3:]):
+        assert sorted(state for mb in epoch for state in mb) == [0, 1, 2, 3, 4]
+    np.testing.assert_allclose(losses, [2.0, 2.0])  # (0 + 1 + 2 + 3 + 4) / 5, though batches differ in size
+
+
+def test_an_annealed_fit_ends_with_small_steps():
+    # A constant gradient makes each of Adam's steps the step size: 0.1 (1 + 3/4 + 2/4 + 1/4) = 0.25
+    for anneal, expected in ((False, -0.4), (True, -0.25)):
+        x = torch.nn.Parameter(torch.zeros(1))
+        fit([x], lambda mb, x=x: x.sum(), 4, 1, 1, 0.1, torch.Generator(), anneal)
+        np.testing.assert_allclose(x.detach(), [expected], atol=1e-6)
 
 
 def test_value_is_one_dimensional():

@@ -27,9 +27,9 @@ def test_every_name_is_found(name):
 def test_policies_refer_to_what_exists():
     for spec in POLICIES.values():
         assert set(spec.courses) <= set(COURSE_KINDS)
-        assert set(spec.skills) <= set(POLICIES)
+        assert set(spec.skills) | set(spec.teachers) <= set(POLICIES)
         assert spec.warm_start is None or spec.warm_start in POLICIES
-        assert spec.method in ("ppo", "oracle", "supervised", "ppo-selector")
+        assert spec.method in ("ppo", "oracle", "supervised", "ppo-selector", "distilled")
         assert spec.reward in ("environment", "oracle")
 
 
@@ -70,6 +70,10 @@ def test_requirements_come_before_what_needs_them(name):
 def test_requirements_of_a_selector():
     needs = requirements("ps-rl-3")
     assert needs[0] == "walk" and set(needs) == {"walk", "climb", "leap"}
+
+
+def test_a_post_generalist_needs_its_teachers():
+    assert set(requirements("post-gen")) == {*POLICIES["oracle"].skills, "distilled"}
 
 
 @pytest.mark.parametrize("given, nearest", [("climb-upp", "climb-up"), ("gen3", "gen-3"), ("psrl3", "ps-rl-3")])

@@ -363,6 +363,40 @@ def test_resumed_learner_goes_on_identically():
         np.testing.assert_array_equal(a[name], b[name], err_msg=name)
 
 
+def without_critic(learner):
+    return {name: array for name, array in learner.arrays().items() if not name.startswith(("critic.", "log_std"))}
+
+
+def test_a_start_without_a_critic_rests_the_actor():
+    source, learner = make(seed=1), make(seed=2)
+    new = learner.arrays()
+    learner.warm_start(without_critic(source), steps=100, std=0.25, critic_steps=3 * TINY.batch_size)
+    started = learner.arrays()
+    np.testing.assert_array_equal(started["actor.0.weight"], source.arrays()["actor.0.weight"])
+    np.testing.assert_array_equal(started["critic.0.weight"], new["critic.0.weight"])
+    np.testing.assert_allclose(started["log_std"], np.log(0.25))
+    moved = []
+    for _ in train(FakeEnv(), learner, 100 + 5 * TINY.batch_size):
+        now = learner.arrays()
+        moved.append(
+            [not np.array_equal(now[f"{net}.0.weight"], started[f"{net}.0.weight"]) for net in ("actor", "critic")]
+        )
+    assert moved == [[False, True]] * 3 + [[True, True]] * 2
+
+
+def test_a_start_with_a_critic_rests_nobody():
+    learner = make(seed=2)
+    learner.warm_start(make(seed=1).arrays(), steps=100, std=0.25, critic_steps=1000)
+    assert not learner.actor_rests and learner.learning_rate == TINY.learning_rate
+
+
+def test_a_resumed_learner_rests_as_long():
+    learner = make()
+    learner.warm_start(without_critic(make(seed=1)), steps=100, std=0.25, critic_steps=1000)
+    copy = resumed(learner)
+    assert copy.actor_start == 1100
+
+
 def test_resuming_needs_adams_moments():
     # Without them the next step differs: the round trip above is not vacuous.
     original, _ = trained(3)

@@ -9,6 +9,7 @@ import pytest
 from agility_ref import checkpoint, runs
 from agility_ref.bank import TrainConfig, load_policy, run_folder
 from agility_ref.curriculum import CurriculumConfig
+from agility_ref.distill import DistillConfig
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
@@ -16,7 +17,7 @@ from agility_ref.policies import PPOConfig, find_policy
 from agility_ref.progress import PROGRESS
 from agility_ref.rewards import RewardConfig
 from agility_ref.runs import train_policy
-from agility_ref.selector import Hierarchy, SelectorConfig, SupervisedConfig
+from agility_ref.selector import Hierarchy, SelectorConfig, Single, SupervisedConfig
 from agility_ref.task import EnvConfig
 from agility_ref.terrain import COURSE_KINDS
 
@@ -405,7 +406,7 @@ def test_the_supervised_selector_sees_every_course_and_level(config, monkeypatch
     spec = find_policy("ps-sl-5")
     assert sorted(spec.courses) == sorted(COURSE_KINDS) and min(spec.budget) >= 300_000
     seen = []
-    monkeypatch.setattr(runs, "load_skills", lambda *args: {})
+    monkeypatch.setattr(runs, "load_bank", lambda *args: {})
     monkeypatch.setattr(runs, "oracle_hierarchy", lambda *args: None)
 
     def collect(env, *rest):
@@ -435,3 +436,50 @@ def test_supervised_selector_run(config, tmp_path, finished_run):
     hierarchy = load_policy("ps-sl-5", config)
     assert isinstance(hierarchy, Hierarchy)
     assert hierarchy.act(np.zeros((2, OBS_DIM), np.float32), None)[0].shape == (2, ACTION_DIM)
+
+
+# --- distillation ----------------------------------------------------------------------
+
+
+def test_distilled_run(config, tmp_path, finished_run):
+    for skill in ("walk", "climb-up", "climb-down", "leap", "beam"):
+        finished_run(tmp_path, skill)
+    config = replace(config, steps=90, distill=DistillConfig(dagger_rounds=1, epochs=2))
+    folder = train_policy("distilled", config, quiet=True)
+    # 90 states in two rounds of at least 45: 4 robots see 48 each time
+    assert [(row["round"], row["states"]) for row in progress(folder)] == [("0", "48")] * 2 + [("1", "96")] * 2
+    arrays, meta = checkpoint.load(folder / "policy.npz")
+    assert meta["steps"] == 96 and set(meta["teachers"]) == {"walk", "climb-up", "climb-down", "leap", "beam"}
+    assert not any(name.startswith("critic.") for name in arrays)
+    assert isinstance(load_policy("distilled", config), Single)
+
+
+def test_a_post_generalist_goes_on_from_the_distilled_policy(config, tmp_path, finished_run, monkeypatch):
+    from agility_ref import policies
+
+    budgets = {name: replace(spec, budget=(4 * BATCH, 4 * BATCH)) for name, spec in policies.POLICIES.items()}
+    budgets["distilled"] = replace(budgets["distilled"], budget=(2 * BATCH, 2 * BATCH))
+    monkeypatch.setattr(policies, "POLICIES", budgets)
+    for skill in ("walk", "climb-up", "climb-down", "leap", "beam"):
+        finished_run(tmp_path, skill)
+    distill = DistillConfig(dagger_rounds=1, epochs=1, critic_steps=BATCH)
+    config = replace(config, steps=0, distill=distill)
+    folder = train_policy("post-gen", config, quiet=True)
+    assert (tmp_path / "distilled" / "seed0" / "DONE").exists()
+    assert steps_of(folder) == [3 * BATCH, 4 * BATCH]
+    first, second = progress(folder)
+    # the entropy is a mean over the actor's steps, and it takes none while the critic learns alone
+    assert float(first["entropy"]) == 0.0 != float(second["entropy"])
+    np.testing.assert_allclose(float(first["std"]), distill.std, rtol=1e-5)
+    arrays, meta = checkpoint.load(folder / "policy.npz")
+    assert meta["start"] == 2 * BATCH and int(arrays["optimizer.actor_start"]) == 3 * BATCH
+
+
+@pytest.mark.parametrize("distill, message", [
+    (DistillConfig(dagger_rounds=-1), "distill.dagger-rounds must be at least 0, got -1"),
+    (DistillConfig(action_noise=float("nan")), "distill.action-noise"),
+    (DistillConfig(critic_steps=-1), "distill.critic-steps must be at least 0, got -1"),
+])  # fmt: skip
+def test_bad_distillation_is_refused(config, distill, message):
+    with pytest.raises(UserError, match=message):
+        train_policy("distilled", replace(config, distill=distill), quiet=True)

@@ -68,12 +68,12 @@ def test_dashes_are_nan():
     assert sorted(dashes) == ["edge_violation"] * 12 + ["reward"]
 
 
-def test_lines_are_the_papers_and_both_selectors():
+def test_lines_are_the_papers_and_four_more():
     lines = table_lines()
-    assert len(lines) == len(set(lines)) == 43 + 8
+    assert len(lines) == len(set(lines)) == 43 + 16
     rows = table_rows({})
     assert [(r.environment, r.policy) for r in rows if r.paper] == list(paper_cells())  # in the paper's order
-    assert {r.policy for r in rows if r.paper is None} == {"PS-RL-3 (env)", "PS-RL-3 (oracle)"}
+    assert {r.policy for r in rows if r.paper is None} == {"PS-RL-3 (env)", "PS-RL-3 (oracle)", "Distilled", "Post-GEN"}
     assert all(r.ours is None for r in rows)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agility_ref.bank import TrainConfig, load_policy, load_skills, weights_path
+from agility_ref.bank import TrainConfig, load_bank, load_policy, weights_path
 from agility_ref.checkpoint import Policy
 from agility_ref.evaluate import EvaluationConfig, evaluate, evaluation_env, oracle_accuracy
 from agility_ref.plots import BLUE, ORANGE, new_figure
@@ -91,7 +91,7 @@ save(heat_map(table, BANK, "specialists alone: waypoint fraction"), "04_speciali
 
 # %%
 spec = find_policy("ps-sl-5")
-skills = load_skills(spec, config)  # the five specialists, frozen
+skills = load_bank(spec.skills, config)  # the five specialists, frozen
 oracle = oracle_hierarchy("oracle", skills)
 for terrain in TERRAINS:
     fractions["oracle", terrain] = evaluate(oracle, terrain, settings).waypoint_fraction
