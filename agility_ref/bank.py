@@ -11,7 +11,7 @@ from pathlib import Path
 from agility_ref import checkpoint, weights
 from agility_ref.checkpoint import Policy
 from agility_ref.curriculum import CurriculumConfig
-from agility_ref.distill import DistillConfig
+from agility_ref.distill import DistillConfig, FineTuneConfig
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
@@ -57,6 +57,8 @@ class TrainConfig:
     """Training of the supervised selector."""
     distill: DistillConfig = DistillConfig()
     """Training of the distilled policy."""
+    fine_tune: FineTuneConfig = FineTuneConfig()
+    """How PPO goes on from it."""
 
     @property
     def root(self) -> Path:

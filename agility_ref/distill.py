@@ -15,18 +15,19 @@ What is simplified: the student sees what its teachers see, scandots and true ve
 paper would give it a camera; teachers are the deterministic specialists.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.policies import PPOConfig
 from agility_ref.selector import Hierarchy, Single
 
 
 @dataclass(frozen=True)
 class DistillConfig:
-    """Training of the distilled policy, and how PPO goes on from it."""
+    """Training of the distilled policy."""
 
     dagger_rounds: int = 4
     """Rounds in which the student acts, after one in which the oracle does; usual 2 to 10."""
@@ -38,10 +39,39 @@ class DistillConfig:
     """States per gradient step; usual 256 to 4096."""
     learning_rate: float = 1e-3
     """Adam's step size, falling to zero in each round."""
-    std: float = 0.25
-    """Exploration noise with which PPO goes on; usual 0.2 to 0.5."""
-    critic_steps: int = 250_000
+
+
+@dataclass(frozen=True)
+class FineTuneConfig:
+    """What PPO does otherwise when it goes on from a distilled policy: smaller steps, from more data.
+
+    A beginner gains by large steps in roughly the right direction.  They would undo in minutes
+    what a distilled policy can do: docs/training.md has the figures.
+    """
+
+    std: float = 0.2
+    """Exploration noise at the start; usual 0.1 to 0.3."""
+    critic_steps: int = 500_000
     """Environment steps in which the new critic learns alone; usual 100,000 to 1,000,000."""
+    critic_learning_rate: float = 5e-4
+    """Step size of the critic, which does not follow the actor's small ones."""
+    num_steps: int = 64
+    """Control steps per robot and iteration, in place of ppo.num-steps."""
+    target_kl: float = 0.01
+    """KL divergence per minibatch, in place of ppo.target-kl; usual 0.003 to 0.01."""
+    learning_rate_min: float = 1e-5
+    """Floor of the adaptive rate, in place of ppo.learning-rate-min."""
+    anneal_share: float = 1.0
+    """KL target and floor fall to zero over this share of the steps, in place of ppo.anneal-share."""
+    ent_coef: float = 0.0
+    """Entropy bonus, in place of ppo.ent-coef: there is nothing to be found by wider noise."""
+
+    def apply(self, ppo: PPOConfig) -> PPOConfig:
+        """Return PPO's hyper-parameters for going on."""
+        return replace(
+            ppo, critic_learning_rate=self.critic_learning_rate, num_steps=self.num_steps, target_kl=self.target_kl,
+            learning_rate_min=self.learning_rate_min, anneal_share=self.anneal_share, ent_coef=self.ent_coef,
+        )  # fmt: skip
 
 
 def collect_actions(

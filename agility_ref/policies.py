@@ -40,6 +40,8 @@ class PPOConfig:
     """Floor of the adaptive rate; 1e-5 stalls at batches of 4096."""
     learning_rate_max: float = 3e-3
     """Ceiling of the adaptive rate."""
+    critic_learning_rate: float = 0.0
+    """Step size of the critic; 0 for that of the actor, whose small ones would leave it behind."""
     target_kl: float = 0.02
     """KL divergence per minibatch that the rate is steered to; usual 0.005 to 0.02."""
     init_std: float = 0.8
@@ -128,7 +130,7 @@ _SPECS = (
     PolicySpec("distilled", "Distilled", "distilled", SEVEN, (300_000, 1 * M), teachers=FIVE),
     PolicySpec(
         "post-gen", "Post-GEN", "ppo", ("climb", "gap", "beam", "walk", "climb-gap"),
-        (1_500_000, 15 * M), "distilled",
+        (2_500_000, 15 * M), "distilled",
     ),
 )  # fmt: skip
 POLICIES = {spec.name: spec for spec in _SPECS}

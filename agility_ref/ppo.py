@@ -238,7 +238,7 @@ def update(learner: Learner, rollout: Rollout) -> dict[str, float]:
     ]
     with ThreadPoolExecutor(2) as pool:
         # The critic keeps the step size of the start, the actor steers it by the KL divergence.
-        rate = c.learning_rate if learner.actor_rests else learner.learning_rate
+        rate = c.critic_learning_rate or (c.learning_rate if learner.actor_rests else learner.learning_rate)
         critic = pool.submit(update_critic, learner, batches, rate)
         actor = pool.submit(update_actor, learner, batches)
     learner.normalizer.update(rollout.raw_obs.reshape(-1, rollout.raw_obs.shape[-1]))

@@ -79,7 +79,8 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
         ("distill.action-noise", config.distill.action_noise, 0),
         ("distill.epochs", config.distill.epochs, 1),
         ("distill.batch-size", config.distill.batch_size, 1),
-        ("distill.critic-steps", config.distill.critic_steps, 0),
+        ("fine-tune.critic-steps", config.fine_tune.critic_steps, 0),
+        ("fine-tune.num-steps", config.fine_tune.num_steps, 1),
     ):
         if not given >= least:
             raise UserError(f"{what} must be at least {least}, got {given}")
@@ -127,6 +128,10 @@ def make_env(spec: PolicySpec, config: TrainConfig) -> tuple[Go1Env, Curriculum]
     return env, curriculum
 
 
+def _goes_on_from_distilled(spec: PolicySpec) -> bool:
+    return spec.warm_start is not None and find_policy(spec.warm_start).method == "distilled"
+
+
 def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -> None:
     # Here, so that only training waits for torch.
     from agility_ref.learner import Learner
@@ -141,6 +146,8 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     if selector:
         ppo = replace(ppo, ent_coef=config.selector.ent_coef, gamma=ppo.gamma**hold)
         config = replace(config, curriculum=replace(config.curriculum, enabled=False))
+    elif _goes_on_from_distilled(spec) and config.warm_start:
+        ppo = config.fine_tune.apply(ppo)
     env, curriculum = make_env(spec, config)
     act_dim = len(spec.skills) if selector else ACTION_DIM
     distribution = Categorical if selector else Gaussian
@@ -223,9 +230,8 @@ def _resume_or_warm_start(
                 f"train {spec.warm_start} with the same flags and --out first"
             )
         # A distilled policy knows its way: noise as after a walk would only throw it off.
-        distilled = find_policy(spec.warm_start).method == "distilled"
-        std = config.distill.std if distilled else config.warm_std
-        learner.warm_start(arrays, meta["steps"], std, config.distill.critic_steps)
+        std = config.fine_tune.std if _goes_on_from_distilled(spec) else config.warm_std
+        learner.warm_start(arrays, meta["steps"], std, config.fine_tune.critic_steps)
     return []
 
 

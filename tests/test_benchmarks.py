@@ -120,7 +120,7 @@ def test_no_level_without_a_curriculum():
     assert [p["level"] for p in trained.curve] == [None, None]
 
 
-@pytest.mark.parametrize("name", ["oracle", "ps-rl-3", "ps-sl-5", "wlak"])
+@pytest.mark.parametrize("name", ["oracle", "ps-rl-3", "ps-sl-5", "distilled", "post-gen", "wlak"])
 def test_selectors_are_refused(name):
     with pytest.raises(UserError):
         learning.check_skill(name)

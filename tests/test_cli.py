@@ -191,7 +191,7 @@ def test_train_prints_its_folder(capsys, tmp_path):
 def test_table1_with_nothing_trained(capsys, tmp_path):
     assert main(f"table1 --runs {tmp_path} --results {tmp_path / 'results'} --episodes 1".split()) == 0
     out = capsys.readouterr().out
-    assert "0 of 43 cells filled, and 0 of 8 beyond the paper" in out and "missing: no weights for" in out
+    assert "0 of 43 cells filled, and 0 of 16 beyond the paper" in out and "missing: no weights for" in out
     assert (tmp_path / "results" / "table1.md").exists()
 
 

@@ -9,7 +9,7 @@ import pytest
 from agility_ref import checkpoint, runs
 from agility_ref.bank import TrainConfig, load_policy, run_folder
 from agility_ref.curriculum import CurriculumConfig
-from agility_ref.distill import DistillConfig
+from agility_ref.distill import DistillConfig, FineTuneConfig
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
@@ -462,24 +462,24 @@ def test_a_post_generalist_goes_on_from_the_distilled_policy(config, tmp_path, f
     monkeypatch.setattr(policies, "POLICIES", budgets)
     for skill in ("walk", "climb-up", "climb-down", "leap", "beam"):
         finished_run(tmp_path, skill)
-    distill = DistillConfig(dagger_rounds=1, epochs=1, critic_steps=BATCH)
-    config = replace(config, steps=0, distill=distill)
+    fine_tune = FineTuneConfig(num_steps=8, critic_steps=BATCH)
+    config = replace(config, steps=0, distill=DistillConfig(dagger_rounds=1, epochs=1), fine_tune=fine_tune)
     folder = train_policy("post-gen", config, quiet=True)
     assert (tmp_path / "distilled" / "seed0" / "DONE").exists()
     assert steps_of(folder) == [3 * BATCH, 4 * BATCH]
     first, second = progress(folder)
     # the entropy is a mean over the actor's steps, and it takes none while the critic learns alone
     assert float(first["entropy"]) == 0.0 != float(second["entropy"])
-    np.testing.assert_allclose(float(first["std"]), distill.std, rtol=1e-5)
+    np.testing.assert_allclose(float(first["std"]), fine_tune.std, rtol=1e-5)
     arrays, meta = checkpoint.load(folder / "policy.npz")
     assert meta["start"] == 2 * BATCH and int(arrays["optimizer.actor_start"]) == 3 * BATCH
 
 
-@pytest.mark.parametrize("distill, message", [
-    (DistillConfig(dagger_rounds=-1), "distill.dagger-rounds must be at least 0, got -1"),
-    (DistillConfig(action_noise=float("nan")), "distill.action-noise"),
-    (DistillConfig(critic_steps=-1), "distill.critic-steps must be at least 0, got -1"),
+@pytest.mark.parametrize("bad, message", [
+    ({"distill": DistillConfig(dagger_rounds=-1)}, "distill.dagger-rounds must be at least 0, got -1"),
+    ({"distill": DistillConfig(action_noise=float("nan"))}, "distill.action-noise"),
+    ({"fine_tune": FineTuneConfig(critic_steps=-1)}, "fine-tune.critic-steps must be at least 0, got -1"),
 ])  # fmt: skip
-def test_bad_distillation_is_refused(config, distill, message):
+def test_bad_distillation_is_refused(config, bad, message):
     with pytest.raises(UserError, match=message):
-        train_policy("distilled", replace(config, distill=distill), quiet=True)
+        train_policy("post-gen", replace(config, **bad), quiet=True)
