@@ -62,7 +62,7 @@ def test_title_without_weights():
 def test_markdown_has_a_line_a_row_in_both_tables(rows):
     lines = markdown(rows).splitlines()
     for start, columns in ((0, 8), (lines.index("## How sure") + 2, 7)):
-        table = lines[start : start + 2 + 51]
+        table = lines[start : start + 2 + 59]
         assert all(line.startswith("|") and line.count("|") == columns + 3 for line in table)
     found = [line for line in lines if line.startswith("| Gap | Leap |")]
     assert "1.00 ± 2.00 | 17.78 ± 9.36" in found[0] and "0.50 ± 0.25 | 0.86 ± 0.18" in found[0]
@@ -73,14 +73,14 @@ def test_markdown_has_a_line_a_row_in_both_tables(rows):
 
 def test_text_has_a_line_a_row(rows):
     lines = text(rows).splitlines()
-    assert len(lines) == 1 + 51 + 2 + 1 + 51
+    assert len(lines) == 1 + 59 + 2 + 1 + 59
     assert sum("Climb+Gap" in line for line in lines) == 2  # named once, above its block
     assert len({len(line) for line in lines[:52]}) == 1 and len({len(line) for line in lines[-52:]}) == 1
 
 
 def test_as_published_has_one_table():
     rows = fill(PUBLISHED)
-    assert len(text(rows).splitlines()) == 1 + 51
+    assert len(text(rows).splitlines()) == 1 + 59
     assert "How sure" not in markdown(rows)
     assert latex(rows, "x").count(r"\begin{table*}") == 1
 
@@ -89,7 +89,7 @@ def test_csv_of_filled_and_missing_rows(rows, tmp_path):
     write_all(rows, tmp_path, "t")
     with open(tmp_path / "table1.csv", newline="") as file:
         read = {(r["environment"], r["policy"]): r for r in csv.DictReader(file)}
-    assert len(read) == 51
+    assert len(read) == 59
     leap = read["Gap", "Leap"]
     assert float(leap["reward_mean_ours"]) == 1.0 and float(leap["waypoint_fraction_std_paper"]) == 0.18
     assert [float(leap[f"reward_{k}"]) for k in ("iqm", "low", "high")] == [1.5, -0.5, 2.5]
