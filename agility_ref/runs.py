@@ -13,6 +13,7 @@ import json
 import shutil
 import time
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -240,42 +241,39 @@ def _imitate(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -
     start = time.monotonic()
     config = replace(config, curriculum=replace(config.curriculum, enabled=False))
     env, _ = make_env(spec, config)
-    selector = spec.method == "supervised"
-    bank = load_bank(spec.skills if selector else spec.teachers, config)
+    bank = load_bank(spec.skills or spec.teachers, config)
     _write_config(spec, config, folder)
     oracle = oracle_hierarchy("oracle", bank)
-    how = config.supervised if selector else config.distill
-    total = config.steps or spec.steps(config.preset)
-    share = -(-total // (how.dagger_rounds + 1))
     meta = {
         "policy": spec.name, "preset": config.preset, "seed": config.seed, "courses": spec.courses,
-        "versions": checkpoint.versions(), "config": asdict(config), "skills" if selector else "teachers": digests(bank),
+        "versions": checkpoint.versions(), "config": asdict(config),
     }  # fmt: skip
-    if selector:
+    if spec.method == "supervised":
+        how, loss = config.supervised, "cross_entropy"
         meta |= {"obs_dim": NUM_SCANDOTS, "act_dim": len(bank), "decision_steps": config.selector.decision_steps}
+        meta["skills"] = digests(bank)
+        collect = collect_labels
+        fit = partial(fit_selector, num_skills=len(bank), config=how, seed=config.seed)
+        student = partial(selector_hierarchy, spec.name, bank)
     else:
-        meta |= {"obs_dim": OBS_DIM, "act_dim": ACTION_DIM}
+        how, loss = config.distill, "squared_error"
+        meta |= {"obs_dim": OBS_DIM, "act_dim": ACTION_DIM, "teachers": digests(bank)}
+        collect = partial(collect_actions, action_noise=how.action_noise)
+        fit = partial(fit_student, hidden=config.ppo.hidden, config=how, seed=config.seed)
+        student = partial(Single, spec.name)
+    rounds = how.dagger_rounds + 1
+    share = -(-(config.steps or spec.steps(config.preset)) // rounds)
     actor, data, rows = oracle, [], []
-    for k in range(how.dagger_rounds + 1):
-        if selector:
-            data.append(collect_labels(env, actor, oracle, share))
-        else:
-            data.append(collect_actions(env, actor, oracle, share, how.action_noise))
-        data = [tuple(np.concatenate(part) for part in zip(*data, strict=True))]
-        seen, wanted = data[0]
-        if selector:
-            arrays, losses = fit_selector(seen, wanted, len(bank), how, config.seed)
-        else:
-            arrays, losses = fit_student(seen, wanted, config.ppo.hidden, how, config.seed)
-        meta |= {"steps": len(wanted), "wall_seconds": time.monotonic() - start}
-        policy = Policy.from_arrays(arrays, meta)
-        actor = selector_hierarchy(spec.name, bank, policy) if selector else Single(spec.name, policy)
-        loss = "cross_entropy" if selector else "squared_error"
-        rows += [{"round": k, "states": len(wanted), "epoch": e, loss: v} for e, v in enumerate(losses)]
+    for k in range(rounds):
+        data.append(collect(env, actor, oracle, share))
+        data = [tuple(np.concatenate(part) for part in zip(*data, strict=True))]  # what was seen, what was asked for
+        arrays, losses = fit(*data[0])
+        states = len(data[0][0])
+        meta |= {"steps": states, "wall_seconds": time.monotonic() - start}
+        actor = student(Policy.from_arrays(arrays, meta))
+        rows += [{"round": k, "states": states, "epoch": e, loss: v} for e, v in enumerate(losses)]
         if not quiet:
-            print(
-                f"{spec.name}: round {k}, {len(wanted)} states, {loss.replace('_', ' ')} {losses[-1]:.4f}", flush=True
-            )
+            print(f"{spec.name}: round {k}, {states} states, {loss.replace('_', ' ')} {losses[-1]:.4f}", flush=True)
     write_csv(folder / "progress.csv", rows)
     checkpoint.save(folder / "policy.npz", arrays, meta)
-    write_text(folder / "DONE", f"{len(wanted)} states\n")
+    write_text(folder / "DONE", f"{states} states\n")
