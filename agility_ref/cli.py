@@ -92,6 +92,7 @@ def table1(argv: list[str]) -> None:
     from agility_ref import findings, table1, table_output, verdicts
     from agility_ref.bank import TrainConfig, existing
     from agility_ref.evaluate import EvaluationConfig
+    from agility_ref.policies import find_policy
 
     @dataclass(frozen=True)
     class Table1:
@@ -110,6 +111,8 @@ def table1(argv: list[str]) -> None:
         """Train every policy first, from scratch; finished runs in --runs are kept."""
         findings: bool = False
         """Also check each finding of the paper; writes findings.md."""
+        compare: tuple[str, ...] = ()
+        """Two policies or more: waypoint fraction of the first minus that of each other one, on paired episodes."""
         ablations: str = ""
         """Ablations for the findings, where measured; benchmarks/results/ablations-<preset>.csv by default."""
         runs: str = ""
@@ -121,8 +124,12 @@ def table1(argv: list[str]) -> None:
     seeds, config, results = table1.parse_seeds(args.seeds), args.config, Path(args.results)
     if args.train and seeds is None:
         raise UserError("--train needs the numbers of the seeds: all are those that have weights already")
-    if args.findings and config.protocol != "complete":
+    if (args.findings or args.compare) and config.protocol != "complete":
         raise UserError(f"findings compare episode by episode: --protocol complete, not {config.protocol}")
+    if len(args.compare) == 1:
+        raise UserError(f"--compare needs two policies or more, not {args.compare[0]} alone")
+    for name in args.compare:
+        find_policy(name)
     training = TrainConfig(preset=config.preset, out=args.runs if args.train else existing(args.runs))
     for seed in seeds if args.train else ():
         table1.train_all(replace(training, seed=seed))
@@ -149,6 +156,8 @@ def table1(argv: list[str]) -> None:
         f"{filled[0]} of {len(rows) - extra} cells filled, and {filled[1]} of {extra} beyond the paper; "
         f"mean ± std over episodes; wrote {', '.join(map(str, paths))}"
     )
+    for comparison in findings.compare(cells, args.compare):
+        print(f"{comparison.text:40} {comparison!s:24} {comparison.seeds} seeds")
     if args.findings:
         ablations = args.ablations or f"benchmarks/results/ablations-{config.preset}.csv"
         checked = findings.check(cells, training, Path(ablations))

@@ -17,7 +17,7 @@ import numpy as np
 from agility_ref.bank import TrainConfig
 from agility_ref.cells import Cells, seeds_of
 from agility_ref.evidence import Evidence, gather
-from agility_ref.policies import find_policy
+from agility_ref.policies import ENVIRONMENTS, find_policy
 from agility_ref.progress import write_text
 from agility_ref.verdicts import Comparison, Finding, markdown, over_seeds, paired
 
@@ -246,6 +246,12 @@ def check(cells: Cells, training: TrainConfig, ablations: Path) -> list[Finding]
     policies = {name for generalist, replaced in REPLACED.items() for name in (generalist, *replaced)}
     evidence = gather(cells, training, ablations, policies)
     return [claim(evidence) for claim in CLAIMS]
+
+
+def compare(cells: Cells, policies: tuple[str, ...]) -> list[Comparison]:
+    """Compare the first policy's waypoint fraction with that of each other one, terrain by terrain."""
+    evidence = Evidence(cells, {}, [])
+    return [evidence.compare((policies[0], t), (other, t)) for other in policies[1:] for t in ENVIRONMENTS]
 
 
 def write(findings: list[Finding], folder: Path, caption: str) -> Path:

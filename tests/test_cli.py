@@ -209,6 +209,26 @@ def test_table1_of_several_seeds(capsys, tmp_path, finished_run, short_episodes)
     assert capsys.readouterr().err.count("evaluating") == 0  # all found in results/cells
 
 
+def test_table1_compares(capsys, tmp_path, finished_run, short_episodes):
+    for name in ("walk", "leap"):
+        finished_run(tmp_path / "runs" / "full", name)
+    assert main("table1 --episodes 2 --compare walk leap".split()) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("walk - leap on")]
+    assert [line.split()[4] for line in lines] == ["climb-gap", "gap", "beam", "climb"]
+    assert all(line.endswith("1 seeds") for line in lines)
+
+
+@pytest.mark.parametrize("words, message", [
+    ("--compare walk", "--compare needs two policies or more, not walk alone"),
+    ("--compare walk lep", "unknown policy 'lep': did you mean leap"),
+    ("--compare walk leap --protocol as-published", "episode by episode: --protocol complete, not as-published"),
+])  # fmt: skip
+def test_table1_refuses_what_it_cannot_compare(capsys, words, message):
+    assert main(["table1", *words.split()]) == 2
+    err = capsys.readouterr().err
+    assert message in err and err.count("\n") == 1
+
+
 def test_table1_as_published(capsys, tmp_path, finished_run, short_episodes):
     finished_run(tmp_path / "runs" / "full", "walk")
     assert main("table1 --episodes 2 --protocol as-published".split()) == 0

@@ -283,6 +283,16 @@ def test_paper_means():
     assert np.isnan(paper_mean("climb", "beam", "reward"))
 
 
+def test_compare_takes_the_first_minus_each_other_one():
+    cells = make_cells({("walk", "gap"): 0.5, ("leap", "gap"): 0.75, ("beam", "gap"): 0.25, ("leap", "beam"): 0.5})
+    del cells["walk", "beam", 0]
+    found = {c.text: c for c in findings.compare(cells, ("walk", "leap", "beam"))}
+    assert len(found) == 8 and findings.compare(cells, ()) == []
+    assert found["walk - leap on gap"].difference == pytest.approx(-0.25, abs=0.02)
+    assert found["walk - beam on gap"].difference == pytest.approx(0.25, abs=0.02)
+    assert found["walk - leap on beam"].seeds == 0  # only one of them was there
+
+
 def test_check_and_write(tmp_path, monkeypatch):
     monkeypatch.setattr(weights, "FOLDER", tmp_path)
     training = TrainConfig(out=str(tmp_path / "runs"))
