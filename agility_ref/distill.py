@@ -4,8 +4,8 @@ Paper section 5, future work: "all specialists and potentially the selector poli
 into a unified generalist policy (referred to as post-generalist, in contrast with the
 true-generalist)".  First the oracle acts and the student learns its actions; then the student
 acts, the oracle says at every step what it would have done, and the student learns from all
-that was seen (DAgger; Ross et al. 2011).  PPO then goes on from the student with the recipe of
-every skill: a new critic first learns alone, for its first values would ruin a good actor (Rudin
+that was seen (DAgger; Ross et al. 2011).  PPO then goes on from the student with smaller steps than
+a beginner's: a new critic first learns alone, for its first values would ruin a good actor (Rudin
 et al. 2025, "Parkour in the Wild", do the same).
 
 In:  the frozen specialists, the oracle's region map, courses.
