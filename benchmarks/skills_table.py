@@ -181,7 +181,8 @@ def generalist_figures(played: dict[Key, Evaluation]) -> list[dict]:
     """Compare every generalist with the specialist of each of its courses, JSON-ready."""
     names = {(name, seed) for name, seed, _, _ in played}
     figures = []
-    for name, course in dict.fromkeys((n, c) for n, _, c, _ in played if len(find_policy(n).courses) > 1):
+    courses = dict.fromkeys((n, c) for n, _, c, _ in played if len(find_policy(n).courses) > 1 and c in SPECIALISTS)
+    for name, course in courses:
         specialist = SPECIALISTS[course]
         seeds = sorted(seed for n, seed in names if n == name and (specialist, seed) in names)
         if seeds:

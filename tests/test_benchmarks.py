@@ -350,8 +350,15 @@ def test_generalists_are_compared_with_the_specialist_of_each_course(evaluations
     assert mean["course"] == "mean" and mean["difference"] == "-0.03"
 
 
+def test_a_course_without_a_specialist_is_compared_with_nobody(evaluations):
+    extra = {("post-gen", 0, course, None): played("post-gen", [0.5, 0.5], course) for course in ("climb-gap", "gap")}
+    figures = [f for f in skills_table.generalist_figures(evaluations | extra) if f["generalist"] == "post-gen"]
+    assert [f["course"] for f in figures] == ["gap"]
+
+
 def test_every_course_has_one_specialist():
-    assert set(skills_table.SPECIALISTS.values()) == {n for n in skills_table.SKILLS if not n.startswith("gen")}
+    assert set(skills_table.SPECIALISTS.values()) == {n for n in skills_table.SKILLS if "gen" not in n}
+    assert "climb-gap" not in skills_table.SPECIALISTS  # which no single skill can cross
 
 
 def test_skills_table_plays_what_there_is(tiny, tmp_path, capsys, finished_run):
