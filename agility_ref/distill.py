@@ -22,7 +22,7 @@ import numpy as np
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.policies import PPOConfig
-from agility_ref.selector import Hierarchy, Single
+from agility_ref.selector import Hierarchy, Single, visit
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,8 @@ class FineTuneConfig:
     """Entropy bonus, in place of ppo.ent-coef: there is nothing to be found by wider noise."""
 
     def apply(self, ppo: PPOConfig) -> PPOConfig:
-        """Return PPO's hyper-parameters for going on."""
-        return replace(
-            ppo, critic_learning_rate=self.critic_learning_rate, num_steps=self.num_steps, target_kl=self.target_kl,
-            learning_rate_min=self.learning_rate_min, anneal_share=self.anneal_share, ent_coef=self.ent_coef,
-        )  # fmt: skip
+        """Return PPO's hyper-parameters for going on: ours where both have a field of the same name."""
+        return replace(ppo, **{name: value for name, value in vars(self).items() if hasattr(ppo, name)})
 
 
 def collect_actions(
@@ -81,19 +78,12 @@ def collect_actions(
 
     Actions are clipped as the environment clips them: beyond that they mean the same.
     """
-    observation, _ = env.reset()
-    actor.reset()
-    limit = env.config.action_limit
-    observations, actions = [], []
-    while len(observations) * env.num_envs < num_states:
-        observations.append(observation.copy())
+    limit, seen = env.config.action_limit, []
+    for observation in visit(env, actor, num_states, action_noise):
         wanted = oracle.execute(observation, oracle.choose(observation, env))
-        actions.append(np.clip(wanted, -limit, limit).astype(np.float32))
-        action, _ = actor.act(observation, env)
-        action = action + action_noise * env.rng.standard_normal(action.shape)
-        observation, _, terminated, truncated, _ = env.step(action)
-        actor.reset(np.flatnonzero(terminated | truncated))
-    return np.concatenate(observations), np.concatenate(actions)
+        seen.append((observation.copy(), np.clip(wanted, -limit, limit).astype(np.float32)))
+    observations, actions = (np.concatenate(part) for part in zip(*seen, strict=True))
+    return observations, actions
 
 
 def fit_student(

@@ -8,7 +8,7 @@ In:  frozen skills (numpy policies), the oracle's region map, scandots.
 Out: a Hierarchy; for PPO, an environment whose action is a skill index.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -225,18 +225,24 @@ class SupervisedConfig:
     """132 x 128 x 128 x n in the paper."""
 
 
-def collect_labels(env: Go1Env, actor: Hierarchy, oracle: Hierarchy, num_states: int) -> tuple[np.ndarray, np.ndarray]:
-    """Run ``actor``, label with ``oracle``: scandots (M, 132) and skill indices (M,)."""
+def visit(env: Go1Env, actor: Hierarchy | Single, num_states: int, action_noise: float = 0.0) -> Iterator[np.ndarray]:
+    """Run ``actor`` from new episodes on; yield the observation (N, 184) before each step, for at least ``num_states``."""
     observation, _ = env.reset()
     actor.reset()
-    scandots, labels = [], []
-    while len(scandots) * env.num_envs < num_states:
-        scandots.append(observation[:, SCANDOTS].copy())
-        labels.append(oracle.choose(observation, env))
+    for _ in range(-(-num_states // env.num_envs)):
+        yield observation
         action, _ = actor.act(observation, env)
+        if action_noise:
+            action = action + action_noise * env.rng.standard_normal(action.shape)
         observation, _, terminated, truncated, _ = env.step(action)
         actor.reset(np.flatnonzero(terminated | truncated))
-    return np.concatenate(scandots), np.concatenate(labels)
+
+
+def collect_labels(env: Go1Env, actor: Hierarchy, oracle: Hierarchy, num_states: int) -> tuple[np.ndarray, np.ndarray]:
+    """Run ``actor``, label with ``oracle``: scandots (M, 132) and skill indices (M,)."""
+    seen = [(obs[:, SCANDOTS].copy(), oracle.choose(obs, env)) for obs in visit(env, actor, num_states)]
+    scandots, labels = (np.concatenate(part) for part in zip(*seen, strict=True))
+    return scandots, labels
 
 
 def fit_selector(
