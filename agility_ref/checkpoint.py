@@ -48,16 +48,34 @@ def versions() -> dict[str, str]:
 def save(path: Path, arrays: dict[str, np.ndarray], meta: dict, compress: bool = True) -> None:
     """Write a checkpoint under a temporary name, then rename: never half a file.
 
-    Compression saves a tenth of the size and takes fifteen times as long.
+    Compression saves a seventh of the size and takes fifteen times as long.  The weights then lie as
+    byte planes, see :func:`_byte_planes`.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     record = json.dumps({"schema": SCHEMA, **meta}, sort_keys=True)
     partial = path.with_suffix(".partial")
     with open(partial, "wb") as file:
-        write = np.savez_compressed if compress else np.savez
-        write(file, __meta__=np.array(record), **arrays)
+        if compress:
+            planes = {name: _byte_planes(a) if a.dtype == np.float32 else a for name, a in arrays.items()}
+            np.savez_compressed(file, __meta__=np.array(record), **planes)
+        else:
+            np.savez(file, __meta__=np.array(record), **arrays)
     os.replace(partial, path)
+
+
+def _byte_planes(array: np.ndarray) -> np.ndarray:
+    """Split float32 (...) into its bytes, uint8 (4, ...).
+
+    The lowest bytes of a weight are noise, the highest hold sign and exponent and repeat: side by
+    side they compress (the "shuffle" filter of HDF5).
+    """
+    return np.moveaxis(np.frombuffer(array.tobytes(), np.uint8).reshape(*array.shape, 4), -1, 0)
+
+
+def _join_planes(planes: np.ndarray) -> np.ndarray:
+    """Undo :func:`_byte_planes`: uint8 (4, ...) -> float32 (...)."""
+    return np.ascontiguousarray(np.moveaxis(planes, 0, -1)).view(np.float32).reshape(planes.shape[1:])
 
 
 def load(path: Path) -> tuple[dict[str, np.ndarray], dict]:
@@ -73,6 +91,7 @@ def load(path: Path) -> tuple[dict[str, np.ndarray], dict]:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
+        arrays = {name: _join_planes(a) if a.dtype == np.uint8 else a for name, a in arrays.items()}
         meta = json.loads(str(arrays.pop("__meta__")))
         schema = meta["schema"]
     except (

@@ -43,6 +43,34 @@ def test_round_trip(path, learner):
         np.testing.assert_array_equal(arrays[name], array, err_msg=name)
 
 
+@pytest.mark.parametrize("compress", [True, False])
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.array(0.1, np.float32),
+        np.array([-0.0, np.inf, np.nan, 1e-45, 3.4e38], np.float32),
+        np.arange(24, dtype=np.float32).reshape(2, 3, 4).transpose(2, 0, 1),  # not contiguous
+        np.zeros((0, 5), np.float32),
+        np.array([0.1, 0.2]),
+        np.array(7),
+    ],
+    ids=["scalar", "special", "transposed", "empty", "float64", "int"],
+)
+def test_every_kind_of_array_comes_back_bit_equal(tmp_path, array, compress):
+    checkpoint.save(tmp_path / "a.npz", {"a": array}, META, compress)
+    again = checkpoint.load(tmp_path / "a.npz")[0]["a"]
+    assert (again.dtype, again.shape, again.tobytes()) == (array.dtype, array.shape, array.tobytes())
+
+
+def test_byte_planes_compress_better(tmp_path):
+    # 24 bits of noise and 8 of sign and exponent, of which few are in use: below 0.9 of the size.
+    weights = np.random.default_rng(0).normal(0.0, 0.1, (200, 300)).astype(np.float32)
+    checkpoint.save(tmp_path / "a.npz", {"a": weights}, META)
+    np.savez_compressed(tmp_path / "b.npz", a=weights)
+    sizes = [(tmp_path / name).stat().st_size for name in ("a.npz", "b.npz")]
+    assert sizes[0] < 0.9 * weights.nbytes < sizes[1]
+
+
 def test_loaded_policy_acts_bit_equally(path, learner, observations):
     before = Policy.from_arrays(learner.arrays(), META)(observations)
     np.testing.assert_array_equal(Policy.load(path)(observations), before)
