@@ -8,6 +8,8 @@ does not fit the task or its skills.
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
+
 from agility_ref import checkpoint, weights
 from agility_ref.checkpoint import Policy
 from agility_ref.curriculum import CurriculumConfig
@@ -142,6 +144,9 @@ def check_interface(source: Path, meta: dict, env: EnvConfig) -> None:
         theirs, ours = trained.get(field, here[field]), here[field]
         if theirs != ours:
             raise UserError(f"{source} was trained with env.{field} {theirs}, this task has {ours}")
+    steps = [f["physics.timestep"] * f["physics.substeps"] for f in (here | trained, here)]
+    if not np.isclose(*steps):
+        raise UserError(f"{source} was trained to act every {steps[0]:g} s, this task asks every {steps[1]:g} s")
 
 
 def as_flags(settings: dict, prefix: str = "") -> dict[str, object]:

@@ -31,7 +31,7 @@ from agility_ref.task import EnvConfig
 # Files whose text decides what happens in an episode and how it is counted.
 SOURCES = (
     "terrain", "placement", "world", "go1", "rewards", "observation", "task", "simulation", "env", "checkpoint",
-    "policies", "selector", "evaluate", "bank",
+    "policies", "selector", "published", "evaluate", "bank",
 )  # fmt: skip
 
 
@@ -114,6 +114,7 @@ def origin(entrant: Entrant, environment: str, config: EvaluationConfig) -> dict
         "steps": entrant.steps,
         "code": code_digest(),
         "mujoco": mujoco.__version__,
+        "numpy": np.__version__,
     }
     return json.loads(json.dumps(made_from))
 

@@ -16,6 +16,7 @@ import re
 import zipfile
 import zlib
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,7 @@ def versions() -> dict[str, str]:
     return {
         "python": platform.python_version(),
         "numpy": np.__version__,
+        "torch": metadata.version("torch"),
         "mujoco": mujoco.__version__,
         "machine": f"{processor()}, {os.cpu_count()} cores",
     }
@@ -101,6 +103,7 @@ def load(path: Path) -> tuple[dict[str, np.ndarray], dict]:
         OSError,
         EOFError,
         AttributeError,
+        RuntimeError,  # a zip that asks for a password or for an unknown compression
         zipfile.BadZipFile,
         zlib.error,
     ) as error:

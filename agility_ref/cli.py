@@ -202,6 +202,11 @@ def main(argv: list[str] | None = None) -> int:
     except UserError as error:
         print(f"agility-ref: {error}", file=sys.stderr)
         return 2
+    except OSError as error:
+        if error.filename is None:
+            raise
+        print(f"agility-ref: {error.filename}: {error.strerror}", file=sys.stderr)  # cannot be read or written
+        return 2
     except KeyboardInterrupt as stopped:
         print(f"agility-ref: {stopped or 'interrupted'}", file=sys.stderr)
         return 130

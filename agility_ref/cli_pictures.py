@@ -199,6 +199,8 @@ def plot_courses(argv: list[str]) -> None:
         """Seed of the courses."""
 
     args = tyro.cli(Courses, args=argv[2:], prog="agility-ref plot courses")
+    if args.seed < 0:
+        raise UserError(f"seed must be at least 0, not {args.seed}")
     _save(course_gallery(seed=args.seed), Path(args.out), argv)
 
 

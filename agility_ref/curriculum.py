@@ -54,7 +54,8 @@ class Curriculum:
     """Levels of N robots; a robot stays on one kind, and on one variant of every level, for life.
 
     Kinds and variants are dealt out in blocks: neighbouring robots then share courses, and
-    physics that stays in the processor's cache is a tenth faster.
+    physics that stays in the processor's cache is a tenth faster.  With fewer robots than kinds
+    some kinds have none.
 
     ``level`` is what a robot has earned, ``played`` what its episode is on: now and then an
     easier one, which is not scored.

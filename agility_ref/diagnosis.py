@@ -64,7 +64,7 @@ def profile(offset: np.ndarray, kind: np.ndarray, steps: np.ndarray, borders: np
 
 
 def wrong_share(trace: Trace) -> np.ndarray:
-    """Share of wrong choices by kind of obstacle and place, (5, bins): metres on a wrong skill per metre.
+    """Share of the time in each place that was spent on a wrong skill, by kind of obstacle: (5, bins).
 
     Every episode that came to a place counts once there, however long it stood; NaN where none came.
     """

@@ -89,7 +89,7 @@ def mistakes_figure(traces: list[Trace]):
         for trace, above, below in zip(traces, profiles, lanes, strict=True):
             _draw_profile(axes[above], trace)
             _draw_course(axes[below], trace)
-        axes[profiles[0]].set_ylabel("wrong metres per metre,\nby nearest obstacle")
+        axes[profiles[0]].set_ylabel("share of time on a wrong skill,\nby nearest obstacle")
         axes[lanes[-1]].set_xlabel("x [m]; dots: wrong choices, in the colour of the skill chosen")
         figure.suptitle(f"{traces[0].policy}: where its choice is not the oracle's", x=0.01, ha="left")
         shown = {*SKILLS, *traces[0].skills}

@@ -7,7 +7,7 @@ complete      Every policy plays the same courses from the same starts with the 
               noise and pushes, one **complete** episode a course.  Policies are compared
               episode by episode.
 as-published  Counts as the evaluator of Extreme Parkour does, on which the paper stands; see
-              :func:`as_published` for what of it is reproduced and what is not.
+              :mod:`agility_ref.published` for what of it is reproduced and what is not.
 
 In:  a policy (:class:`~agility_ref.selector.Single` or ``Hierarchy``) and an environment.
 Out: :class:`Evaluation`, one number per episode and metric.
@@ -23,19 +23,16 @@ import numpy as np
 from agility_ref.env import Go1Env
 from agility_ref.errors import UserError, unknown_name
 from agility_ref.policies import find_preset
+from agility_ref.published import PUBLISHED_EPISODES, as_published
 from agility_ref.selector import Hierarchy, Single
 from agility_ref.task import EnvConfig
-from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, make_course
+from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, make_course
 from agility_ref.world import World
 
 METRICS = ("reward", "episode_length", "waypoint_fraction", "edge_violation")
 PROTOCOLS = ("complete", "as-published")
 
 GOLDEN_RATIO = (5**0.5 - 1) / 2  # steps of this share of a circle fill it most evenly
-
-PUBLISHED_EPISODES = 1.5  # length of an as-published run, in longest episodes: 1500 control steps
-PUBLISHED_MEMORY = 1000  # the latest values of each metric that the original keeps
-PUBLISHED_WAYPOINTS = 7.0  # the original divides by 7 where a course has 8 waypoints
 
 
 @dataclass(frozen=True)
@@ -181,9 +178,14 @@ def mean_std(values: np.ndarray, metric: str, protocol: str) -> tuple[float, flo
     return float(values.mean()), std
 
 
-@lru_cache(maxsize=8)  # all kinds of course
+@lru_cache(maxsize=1)  # 2 MB a course, and a table goes through one terrain after another
 def evaluation_world(environment: str, config: EvaluationConfig) -> World:
-    """Build the courses of an evaluation; the same for every policy.
+    """Build the terrain of an evaluation; see :func:`evaluation_courses`."""
+    return World(evaluation_courses(environment, config))
+
+
+def evaluation_courses(environment: str, config: EvaluationConfig) -> list[Course]:
+    """Draw the courses of an evaluation; the same for every policy.
 
     Each difficulty is uniform, but together they are spread evenly (a Kronecker sequence), however many there are::
 
@@ -214,7 +216,7 @@ def evaluation_world(environment: str, config: EvaluationConfig) -> World:
         first = first if episode else drawn
         d = highest * ((first + episode * GOLDEN_RATIO) % 1.0)
         courses.append(make_course(environment, d if config.difficulty is None else config.difficulty, rng))
-    return World(courses)
+    return courses
 
 
 def evaluation_env(environment: str, config: EvaluationConfig, env_config: EnvConfig = EnvConfig()) -> Go1Env:
@@ -293,63 +295,3 @@ def rollout(
         r["done"].append(terminated | truncated)
         policy.reset(np.flatnonzero(terminated | truncated))
     return {name: np.array(values) for name, values in r.items()}
-
-
-def as_published(
-    reward: np.ndarray, waypoints: np.ndarray, feet_on_edge: np.ndarray, done: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Measure a run of fixed length as the original evaluator does.
-
-    The paper's table was probably counted this way: it prints 0.14 +- 0.00 for policies that pass
-    one waypoint, which is 1/7 and not 1/8, and nearly every violation's deviation exceeds its mean.
-
-    Reproduced:
-
-    * the run takes 1500 control steps, 1.5 times the longest episode, and counts what **ends**
-      in it: a robot that falls early counts several times, one that survives once, and what
-      is under way at the end not at all;
-    * waypoints are those passed **before** the last step of the episode, divided by 7: all
-      eight and the first seven both give 1;
-    * edge violation is the number of feet on an edge of each robot in each step, of which
-      the memory of 1000 values keeps the **last steps of the run** alone (with 256 robots
-      the last four), whatever episode they belong to;
-    * of more than 1000 ended episodes the last 1000 count;
-    * the standard deviations of :func:`mean_std`.
-
-    Not reproduced, because it lies in the task and not in the counting:
-
-    * reward weights, and the clipping of the reward at zero (``env.clip_reward_at_zero``);
-      there the edge term counts on a fifth of the courses alone;
-    * from a robot's second episode on, the original allows 1001 steps; here 1000;
-    * on ``gap`` the original's waypoints stand before each gap, ours behind it;
-    * edges across the lane alone, where ours count along both axes (``World(edges="x")``);
-    * commanded speeds of 0.3 to 0.8 m/s, motors of differing strength, pushes of all robots in
-      the same step, 25 courses shared by 256 robots, all terrains pooled in one number.
-
-    Parameters
-    ----------
-    reward, feet_on_edge : (T, N) of each step
-    waypoints : (T, N) count after the step, before a reset
-    done : (T, N) bool, the episode ends with this step
-
-    Returns
-    -------
-    the four metrics: (E,) for the E ended episodes, edge_violation (min(T N, 1000),); and
-    ``ends`` (E, 2), step and robot of each end, in order
-    """
-    ends = np.argwhere(done)  # by step, then by robot, as the original extends its lists
-    first = np.zeros(done.shape[1], int)  # step in which the robot's current episode began
-    sums, lengths, passed = [], [], []
-    for t, n in ends:
-        sums.append(reward[first[n] : t + 1, n].sum())
-        lengths.append(t + 1 - first[n])
-        passed.append(waypoints[t - 1, n] if t > first[n] else 0)
-        first[n] = t + 1
-    kept = slice(-PUBLISHED_MEMORY, None)
-    return {
-        "reward": np.array(sums[kept], float),
-        "episode_length": np.array(lengths[kept], int),
-        "waypoint_fraction": np.array(passed[kept]) / PUBLISHED_WAYPOINTS,
-        "edge_violation": feet_on_edge.ravel()[kept],
-        "ends": ends[kept],
-    }

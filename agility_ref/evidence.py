@@ -48,13 +48,17 @@ class Evidence:
     ) -> Comparison:
         """Compare two (policy, environment), a - b, over the training seeds that both have.
 
-        On one terrain the episodes are paired.  Those of two terrains have nothing in common,
-        and pairing them by number is as good as any order.
+        On one terrain the episodes are paired as played; on two, the easiest course of one with the
+        easiest of the other, and so on up.
         """
         same_place = a[1] == b[1]
         text = f"{a[0]} - {b[0]} on {a[1]}" if same_place else f"{a[0]} on {a[1]} - on {b[1]}"
         seeds = sorted(set(seeds_of(self.cells, *a)) & set(seeds_of(self.cells, *b)))
-        scores = (self.scores(*side, metric, seeds) for side in (a, b))
+        scores = [self.scores(*side, metric, seeds) for side in (a, b)]
+        if seeds and not same_place:
+            for k, side in enumerate((a, b)):
+                order = np.argsort(self.scores(*side, "difficulty", seeds[:1])[0])  # all seeds play the same courses
+                scores[k] = scores[k][:, order]
         paper = paper_mean(*a, metric) - paper_mean(*b, metric)
         return paired(text, *scores, paper=paper, margin=margin)
 

@@ -13,6 +13,8 @@ from agility_ref.record import Episode
 from agility_ref.silhouette import Robot
 from agility_ref.terrain import (
     COURSE_KINDS,
+    LANE_LENGTH,
+    LANE_WIDTH,
     Course,
     beam_width,
     gap_width,
@@ -112,7 +114,8 @@ def _draw_profile(axis, course: Course) -> None:
 def _draw_beams(axis, course: Course) -> None:
     """View from above: beams light, the ground beside them dark."""
     heights = height_map(course)
-    axis.imshow(heights.T, origin="lower", extent=(0, 18, -2, 2), cmap="gray", vmin=-0.35, vmax=0.03, aspect="auto")
+    extent = (0, LANE_LENGTH, -LANE_WIDTH / 2, LANE_WIDTH / 2)
+    axis.imshow(heights.T, origin="lower", extent=extent, cmap="gray", vmin=-0.35, vmax=0.03, aspect="auto")
     axis.set(xlim=SHOWN, ylim=VIEW["beam"])
     first = course.obstacles[0]
     x, y, half = (first.x0 + first.x1) / 2, course.waypoints[1, 1], beam_width(course.difficulty) / 2

@@ -160,7 +160,7 @@ def make_xml(
     course : the boxes to stand on
     physics : solver, time step and joint gains
     num_boxes : pad the terrain to this many boxes; models of one batch need equal sizes
-    friction : sliding friction of the ground (the feet's is lower, so this one counts)
+    friction : sliding friction of the ground; it has contact priority, so the feet's own does not count
     payload : mass added to the trunk [kg]
     """
     actuators = "\n".join(

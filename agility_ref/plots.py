@@ -167,6 +167,8 @@ def band(curves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     known = np.flatnonzero(~np.isnan(curves).any(axis=0))
     for g in known:
         middle[g] = iqm(curves[:, g])
+    if not len(known):
+        return middle, low, high
     sampled = known[:: max(len(known) // 30, 1)]  # the band is smooth: 30 points and lines between
     ends = np.array([bootstrap_interval(curves[:, g : g + 1], resamples=200) for g in sampled]).T
     low[known], high[known] = (np.interp(known, sampled, end) for end in ends)

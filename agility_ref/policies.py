@@ -41,7 +41,7 @@ class PPOConfig:
     learning_rate_max: float = 3e-3
     """Ceiling of the adaptive rate."""
     critic_learning_rate: float = 0.0
-    """Step size of the critic; 0 for that of the actor, whose small ones would leave it behind."""
+    """Step size of the critic; 0 for the actor's of the moment.  Set it where that becomes small; usual 5e-4 to 1e-3."""
     target_kl: float = 0.02
     """KL divergence per minibatch that the rate is steered to; usual 0.005 to 0.02."""
     init_std: float = 0.8

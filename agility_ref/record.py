@@ -14,7 +14,7 @@ import numpy as np
 
 from agility_ref.env import Go1Env
 from agility_ref.errors import UserError
-from agility_ref.evaluate import EvaluationConfig, evaluation_world
+from agility_ref.evaluate import EvaluationConfig, evaluation_courses
 from agility_ref.go1 import BODY_TOUCH
 from agility_ref.selector import Hierarchy, Single
 from agility_ref.task import EnvConfig
@@ -44,7 +44,7 @@ class Episode:
     qpos: np.ndarray
     """(T, 19) trunk position [m], quaternion wxyz, 12 joint angles [rad]."""
     foot_pos: np.ndarray
-    """(T, 4, 3) centres of the feet FR, FL, RR, RL [m]."""
+    """(T, 4, 3) centres of the feet FR, FL, RR, RL [m]; zero in row 0, where nothing has been simulated yet."""
     foot_contact: np.ndarray
     """(T, 4) bool, the foot touches the terrain."""
     foot_on_edge: np.ndarray
@@ -52,7 +52,7 @@ class Episode:
     body_contact: np.ndarray
     """(T, 9) bool, trunk, thighs and calves that touch the terrain."""
     torque: np.ndarray
-    """(T, 12) [N m]"""
+    """(T, 12) at the end of the step before [N m]; zero in row 0."""
     target: np.ndarray
     """(T, 12) joint angles asked for [rad]."""
     waypoint_index: np.ndarray
@@ -124,7 +124,7 @@ def record(
     """
     if min(courses) < 0:
         raise UserError(f"courses are counted from 0, got {min(courses)}")
-    drawn = evaluation_world(environment, replace(config, episodes=max(courses) + 1)).courses
+    drawn = evaluation_courses(environment, replace(config, episodes=max(courses) + 1))
     world = World([drawn[k] for k in courses])
     if config.clean:
         env_config = env_config.clean()

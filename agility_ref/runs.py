@@ -2,8 +2,9 @@
 
     <out>/<policy>/seed<k>/  config.json  progress.csv  policy.npz  learning_curve.png  DONE
 
-Files are written under a temporary name and renamed (progress.csv grows a row at a time), DONE last.  A run that was
-stopped goes on from its folder; a finished one is never overwritten unless told to.
+Files are written under a temporary name and renamed (progress.csv grows a row at a time), DONE last.  A run of PPO that
+was stopped goes on from its folder, the short ones that imitate start anew; a finished one is never overwritten unless
+told to.
 
 In:  the name of a policy, a preset and a seed.
 Out: the folder, from which :mod:`agility_ref.bank` loads the policy.
@@ -56,35 +57,11 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
 
     Raises
     ------
-    UserError : unknown names, negative steps, a finished run in the way
+    UserError : unknown names, settings out of range, a finished run in the way
     """
     spec = find_policy(name)
     find_preset(config.preset)
-    for what, given, least in (
-        ("seed", config.seed, 0),
-        ("steps", config.steps, 0),
-        ("ppo.num-envs", config.ppo.num_envs, 1),
-        ("ppo.num-steps", config.ppo.num_steps, 1),
-        ("ppo.update-epochs", config.ppo.update_epochs, 1),
-        ("ppo.num-minibatches", config.ppo.num_minibatches, 1),
-        ("env.action-repeat", config.env.action_repeat, 1),
-        ("env.scandot-period", config.env.scandot_period, 1),
-        ("curriculum.num-levels", config.curriculum.num_levels, 1),
-        ("curriculum.variants", config.curriculum.variants, 1),
-        ("selector.decision-steps", config.selector.decision_steps, 1),
-        ("selector.switch-cost", config.selector.switch_cost, 0),
-        ("supervised.dagger-rounds", config.supervised.dagger_rounds, 0),
-        ("supervised.epochs", config.supervised.epochs, 1),
-        ("supervised.batch-size", config.supervised.batch_size, 1),
-        ("distill.dagger-rounds", config.distill.dagger_rounds, 0),
-        ("distill.action-noise", config.distill.action_noise, 0),
-        ("distill.epochs", config.distill.epochs, 1),
-        ("distill.batch-size", config.distill.batch_size, 1),
-        ("fine-tune.critic-steps", config.fine_tune.critic_steps, 0),
-        ("fine-tune.num-steps", config.fine_tune.num_steps, 1),
-    ):
-        if not given >= least:
-            raise UserError(f"{what} must be at least {least}, got {given}")
+    check_settings(spec, config)
     if spec.method == "oracle":
         raise UserError(
             "the oracle needs no training: it reads the region map; train its skills: " + ", ".join(spec.skills)
@@ -107,13 +84,64 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
                 train_policy(other, replace(config, steps=0, overwrite=False), quiet)
         folder.mkdir(parents=True, exist_ok=True)
         (_imitate if spec.method in ("supervised", "distilled") else _train_ppo)(spec, config, folder, quiet)
-    except UserError:
-        if replaces:
+    except BaseException:
+        if replaces and not (folder / "policy.npz").exists():  # nothing was learned that could be gone on with
             shutil.rmtree(folder, ignore_errors=True)
             aside.rename(folder)
         raise
     shutil.rmtree(aside, ignore_errors=True)
     return folder
+
+
+def check_settings(spec: PolicySpec, config: TrainConfig) -> None:
+    """Refuse numbers that no run can be made with.
+
+    Raises
+    ------
+    UserError : names the flag, what was given and the least that is allowed
+    """
+    for what, given, least in (
+        ("seed", config.seed, 0),
+        ("steps", config.steps, 0),
+        ("ppo.num-envs", config.ppo.num_envs, max(len(spec.courses), 1)),  # robots of every kind of course
+        ("ppo.num-steps", config.ppo.num_steps, 1),
+        ("ppo.update-epochs", config.ppo.update_epochs, 1),
+        ("ppo.num-minibatches", config.ppo.num_minibatches, 1),
+        ("env.physics.substeps", config.env.physics.substeps, 1),
+        ("env.action-repeat", config.env.action_repeat, 1),
+        ("env.scandot-period", config.env.scandot_period, 1),
+        ("env.push-interval", config.env.push_interval, 0),
+        ("env.payload-high", config.env.payload_high, 0),
+        ("env.command-high", config.env.command_high, config.env.command_low),
+        ("env.friction-high", config.env.friction_high, config.env.friction_low),
+        ("curriculum.num-levels", config.curriculum.num_levels, 1),
+        ("curriculum.variants", config.curriculum.variants, 1),
+        ("selector.decision-steps", config.selector.decision_steps, 1),
+        ("selector.switch-cost", config.selector.switch_cost, 0),
+        ("supervised.dagger-rounds", config.supervised.dagger_rounds, 0),
+        ("supervised.epochs", config.supervised.epochs, 1),
+        ("supervised.batch-size", config.supervised.batch_size, 1),
+        ("distill.dagger-rounds", config.distill.dagger_rounds, 0),
+        ("distill.action-noise", config.distill.action_noise, 0),
+        ("distill.epochs", config.distill.epochs, 1),
+        ("distill.batch-size", config.distill.batch_size, 1),
+        ("fine-tune.critic-steps", config.fine_tune.critic_steps, 0),
+        ("fine-tune.num-steps", config.fine_tune.num_steps, 1),
+    ):
+        if not given >= least:
+            raise UserError(f"{what} must be at least {least}, got {given}")
+    for what, given in (
+        ("ppo.init-std", config.ppo.init_std),
+        ("ppo.final-std", config.ppo.final_std),
+        ("warm-std", config.warm_std),
+        ("fine-tune.std", config.fine_tune.std),
+        ("env.physics.timestep", config.env.physics.timestep),
+        ("env.command-low", config.env.command_low),
+        ("env.friction-low", config.env.friction_low),
+        ("env.episode-seconds", config.env.episode_seconds),
+    ):
+        if not given > 0:
+            raise UserError(f"{what} must be above 0, got {given}")
 
 
 def _write_config(spec: PolicySpec, config: TrainConfig, folder: Path) -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agility_ref.checkpoint import Policy
-from agility_ref.env import Go1Env
+from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.terrain import SKILLS
 
@@ -55,7 +55,7 @@ class Hierarchy:
 
     def execute(self, observation: np.ndarray, skill: np.ndarray) -> np.ndarray:
         """Return the action of each robot's chosen skill, (N, 12)."""
-        action = np.zeros((len(observation), 12))
+        action = np.zeros((len(observation), ACTION_DIM))
         for k in np.unique(skill):
             action[skill == k] = self.skills[k](observation[skill == k])
         return action
@@ -130,7 +130,8 @@ class SelectorEnv:
     where r is the robot's own reward, or +dt where the acting skill is the oracle's and -dt
     where it is not.  Discounted by gamma^k per decision, R adds up to the return of the
     control steps (Sutton, Precup and Singh 1999), so decisions of any length have the same
-    objective.  The first decision of an episode is free.
+    objective, but for one simplification: an episode that runs out of time within a hold is
+    bootstrapped with gamma^k as well.  The first decision of an episode is free.
 
     **Autoreset**: SAME_STEP, as in :class:`Go1Env`, also within a hold.  A robot whose episode
     ends there is done in this decision, with the reward up to the end and the true final

@@ -44,9 +44,9 @@ class Summary:
     mean_std: MeanStd
     """Over the episodes of all seeds together; NaN where there is nothing to divide by."""
     iqm: dict[str, Interval]
-    """metric -> interquartile mean with its stratified bootstrap interval; empty as published."""
+    """metric -> interquartile mean with its bootstrap interval; empty as published."""
     success: Interval | None
-    """Share of episodes that reach all 8 waypoints, with Wilson's interval for one seed; None as published."""
+    """Share of episodes that reach all 8 waypoints, with :func:`success_interval`; None as published."""
     steps: int
     """Environment steps spent on the policy, the mean over seeds."""
     seeds: tuple[int, ...]
@@ -69,7 +69,7 @@ class Row:
 
 def paper_cells() -> dict[tuple[str, str], MeanStd]:
     """Read the paper's 43 cells: (environment, policy) as labelled there -> its figures."""
-    text = (resources.files("agility_ref") / "table1_paper.csv").read_text()
+    text = (resources.files("agility_ref") / "table1_paper.csv").read_text(encoding="utf-8")
     return {
         (row["environment"], row["policy"]): {
             m: tuple(float(row[f"{m}_{k}"] or "nan") for k in ("mean", "std")) for m in METRICS
@@ -190,8 +190,20 @@ def summarise(cells: list[Cell]) -> Summary:
     if protocol == "complete":  # as published, seeds differ in their number of episodes
         intervals = {m: (iqm(np.stack(v)), *bootstrap_interval(np.stack(v))) for m, v in scores.items()}
         reached = np.stack(scores["waypoint_fraction"]) == 1.0
-        # Wilson's interval needs independent trials: those of one seed are, several seeds share their courses.
-        one_seed = wilson_interval(int(reached.sum()), reached.size)
-        success = (float(reached.mean()), *(one_seed if len(cells) == 1 else bootstrap_interval(reached, np.mean)))
+        success = (float(reached.mean()), *success_interval(reached))
     steps = round(float(np.mean([cell.steps for cell in cells])))
     return Summary(pooled, intervals, success, steps, tuple(cell.seed for cell in cells))
+
+
+def success_interval(reached: np.ndarray) -> tuple[float, float]:
+    """95 % interval of a success rate; reached (S, E) bool, one row a training seed.
+
+    Wilson's, with the episodes of one seed as trials: several seeds play the same courses.  The
+    difficulties are spread evenly, which makes it rather too wide.  It knows nothing of the spread
+    between seeds, so with several the bootstrap over them may widen it.
+    """
+    low, high = wilson_interval(float(reached.mean()) * reached.shape[1], reached.shape[1])
+    if len(reached) > 1:
+        ends = bootstrap_interval(reached, np.mean)
+        low, high = min(low, ends[0]), max(high, ends[1])
+    return low, high

@@ -23,9 +23,9 @@ DIGITS = {"reward": 2, "episode_length": 0, "waypoint_fraction": 2, "edge_violat
 NOTES = (
     "Mean ± standard deviation over episodes, as the paper prints it: the spread between episodes, not the uncertainty "
     "of the mean.  Rewards cannot be compared with the paper's: the weights of the terms differ.",
-    "Interquartile mean over the episodes of all training seeds, with its 95 % stratified bootstrap interval; success is "
-    "the share of episodes that reach all 8 waypoints, with its 95 % Wilson interval.  With one training seed the "
-    "intervals cover the episodes alone and say nothing of how another training would have turned out.  Steps are "
+    "Interquartile mean over the episodes of all training seeds, with its 95 % interval, bootstrapped over seeds and "
+    "episodes; success is the share of episodes that reach all 8 waypoints, with Wilson's 95 % interval for the episodes of "
+    "one seed, widened by the bootstrap where there are several.  With one training seed the intervals cover the episodes alone and say nothing of how another training would have turned out.  Steps are "
     "environment steps in millions: those of a selector include its bank of skills, their common warm start once.",
 )
 EXTRA_HEADINGS = ("Success", "Steps", "Seeds")

@@ -159,7 +159,7 @@ def markdown(findings: Iterable[Finding], caption: str) -> str:
         "reproduced** if it lies entirely on the other, **undecided** if it covers 0.  A claim that says *and* needs all its "
         "comparisons and falls with one; a claim that says *or* needs one and falls with all.  Differences are paired episode "
         "by episode, intervals are bootstrapped over training seeds and episodes (Student's where there is one number a "
-        "seed), 95 % each without correction for their number; with fewer than five seeds the bootstrapped ones are too "
+        "seed), 95 % each without correction for their number; with fewer than ten seeds the bootstrapped ones are too "
         "short (`agility_ref/stats.py`).  *Seeds* are training seeds; one seed says nothing about another.  *Paper* is the same difference of the means that the paper prints, without an interval.",
         "",
     ]

@@ -41,6 +41,8 @@ class Session:
     def __init__(self, policy: Single | Hierarchy, environment: str, config: EvaluationConfig):
         if environment not in COURSE_KINDS:
             raise unknown_name("environment", environment, COURSE_KINDS)
+        if config.seed < 0:
+            raise UserError(f"seed must be at least 0, not {config.seed}")
         highest = find_preset(config.preset).max_difficulty
         if config.difficulty is not None and not 0.0 <= config.difficulty <= 1.0:
             raise UserError(f"difficulty must be between 0 and 1, not {config.difficulty}")
@@ -324,7 +326,7 @@ def clip(episode: Episode, out: Path, seconds: float = 10.0, fps: int = 25) -> P
             serializer.insert_sleep(stride * episode.dt)
         out = Path(out)
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(serializer.as_html())
+        out.write_text(serializer.as_html(), encoding="utf-8")
     finally:
         close(server)
     return out

@@ -38,7 +38,7 @@ def manifest(folder: Path = FOLDER) -> dict[str, dict]:
     """
     path = folder / "manifest.json"
     try:
-        return json.loads(path.read_text()) if path.exists() else {}
+        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     except ValueError as error:
         raise UserError(f"{path} is damaged ({error}); reinstall the package") from None
 

@@ -5,9 +5,8 @@ import os
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 import pytest
-from mujoco import batch
 
-from agility_ref import checkpoint
+from agility_ref import checkpoint  # before any test imports numpy, see agility_ref/__init__.py
 from agility_ref.checkpoint import Policy
 from agility_ref.env import ACTION_DIM
 from agility_ref.learner import Learner
@@ -59,6 +58,8 @@ def five_skills(make_policy):
 @pytest.fixture
 def failing_batch():
     """Return a stand-in for a batch, made from the real one: it reports robot 2 as failed after every step."""
+
+    from mujoco import batch
 
     class Failing:
         def __init__(self, real):

@@ -172,6 +172,16 @@ def test_damaged_file(path, where):
     refused(path, "not a readable")
 
 
+def test_encrypted_and_unknown_compression(path):
+    # in the zip's local and central headers: the flag of encryption, and a method that does not exist
+    for offset, value in ((8, b"\x01"), (10, b"\x63")):
+        content = path.read_bytes()
+        start = content.rindex(b"PK\x01\x02") + offset
+        path.write_bytes(content[:start] + value + content[start + 1 :])
+        refused(path, "not a readable agility_ref checkpoint")
+        path.write_bytes(content)
+
+
 def test_text_file(path):
     path.write_text("this is not a checkpoint\n")
     refused(path, "not a readable")

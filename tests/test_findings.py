@@ -26,6 +26,7 @@ def make_cells(means, seeds=(0,), metric="waypoint_fraction", spread=0.02):
                 rng = np.random.default_rng([sum(map(ord, policy + environment)), seed])
                 score = means.get((policy, environment), 0.5) + NOISE + spread * rng.standard_normal(N)
                 arrays = {m: score if m == metric else np.full(N, 0.5) for m in METRICS}
+                arrays["difficulty"] = np.arange(N) / N
                 cells[policy, environment, seed] = Cell(policy, environment, seed, arrays, {})
     return cells
 
@@ -115,6 +116,16 @@ def test_specialists_at_home_and_elsewhere():
     finding = judge(findings.specialists_fail_elsewhere, make_cells(at_home | {("leap", "climb"): 0.95}))
     assert finding.verdict == NOT_REPRODUCED
     assert [c.text for c in finding.comparisons if c.verdict == NOT_REPRODUCED] == ["climb - leap on climb"]
+
+
+def test_courses_of_two_terrains_are_paired_by_difficulty():
+    # Both lose 0.5 from the easiest course to the hardest, but are played in opposite orders.
+    cells = make_cells({}, spread=0.0)
+    easy_first = np.arange(N) / N
+    for terrain, difficulty in (("gap", easy_first), ("beam", easy_first[::-1])):
+        cells["walk", terrain, 0].arrays.update(difficulty=difficulty, waypoint_fraction=0.9 - 0.5 * difficulty)
+    found = Evidence(cells, {}, []).compare(("walk", "gap"), ("walk", "beam"))
+    assert (found.difference, found.low, found.high) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
 
 
 @pytest.mark.parametrize("climb, hardest, equal", [

@@ -192,6 +192,8 @@ def test_band_is_iqm_and_covers_the_seeds():
     assert middle[:2] == pytest.approx([iqm([1, 2, 3]), iqm([2, 4, 9])])
     assert np.isnan([middle[2], low[2], high[2]]).all()
     assert (low[:2] >= [1, 2]).all() and (high[:2] <= [3, 9]).all() and (low[:2] < high[:2]).all()
+    apart = plots.band(np.array([[1.0, np.nan], [np.nan, 2.0]]))  # no step that both seeds have
+    assert np.isnan(apart).all()
     alone = plots.band(np.array([[1.0, 2.0]]))
     assert all(np.array_equal(part, [1.0, 2.0]) for part in alone)
 
@@ -377,6 +379,8 @@ def test_plot_curves_of_shipped_weights(tmp_path, monkeypatch):
     ("strobe walk --environment gaps", ["unknown environment 'gaps'", "gap"]),
     ("strobe walk --environment gap --course -1", ["courses", "-1"]),
     ("oracle-map walk --environment gap --robots 0", ["--robots"]),
+    ("courses --seed -1", ["seed must be at least 0, not -1"]),
+    ("framework --out runs/full/walk/seed0/policy.npz/x.png", ["policy.npz"]),
     ("curves", ["run folder"]),
     ("curves nowhere", ["nowhere", "progress.csv"]),
     ("curves runs/full/walk/seed0/policy.npz", ["policy.npz", "not shipped weights"]),

@@ -2,6 +2,7 @@ import csv
 import json
 import re
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
@@ -12,17 +13,19 @@ from agility_ref.curriculum import CurriculumConfig
 from agility_ref.distill import DistillConfig, FineTuneConfig
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
+from agility_ref.go1 import PhysicsConfig
+from agility_ref.learner import Learner
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
 from agility_ref.policies import PPOConfig, find_policy
-from agility_ref.progress import PROGRESS
+from agility_ref.progress import PROGRESS, read_rows
 from agility_ref.rewards import RewardConfig
 from agility_ref.runs import train_policy
 from agility_ref.selector import Hierarchy, SelectorConfig, Single, SupervisedConfig
 from agility_ref.task import EnvConfig
 from agility_ref.terrain import COURSE_KINDS
 
-BATCH = 4 * 8
-TINY = PPOConfig(num_envs=4, num_steps=8, hidden=(8,), update_epochs=1, num_minibatches=1)
+BATCH = 8 * 4
+TINY = PPOConfig(num_envs=8, num_steps=4, hidden=(8,), update_epochs=1, num_minibatches=1)
 
 
 @pytest.fixture
@@ -76,7 +79,7 @@ def test_progress_has_a_row_an_iteration(config):
 def test_config_is_recorded(config):
     record = json.loads((train_policy("walk", config, quiet=True) / "config.json").read_text())
     assert record["policy"] == "walk"
-    assert record["ppo"]["num_envs"] == 4 and record["preset"] == "quick" and record["steps"] == 3 * BATCH
+    assert record["ppo"]["num_envs"] == 8 and record["preset"] == "quick" and record["steps"] == 3 * BATCH
 
 
 def test_checkpoint_holds_what_training_needs(config):
@@ -95,10 +98,18 @@ def test_same_seed_same_run(config, tmp_path):
 
 
 def test_a_long_run_of_short_iterations(config, drawing):
-    # The learning curve is redrawn along the way, before the first periodic checkpoint.
     tiny = PPOConfig(num_envs=1, num_steps=2, hidden=(4,), update_epochs=1, num_minibatches=1)
     folder = train_policy("walk", replace(config, ppo=tiny, steps=2 * 120), quiet=True)
     assert len(steps_of(folder)) == 120
+
+
+def test_the_learning_curve_is_redrawn_along_the_way(config, monkeypatch):
+    # A clock on which every reading is 10 s later than the last, three and a half readings an iteration; a curve a minute.
+    clock, drawn = count(0.0, 10.0), []
+    monkeypatch.setattr(runs.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr("agility_ref.plots.learning_curve", lambda csv, png, name: drawn.append(len(read_rows(csv))))
+    train_policy("walk", replace(config, steps=6 * BATCH), quiet=True)
+    assert 1 < len(drawn) < 7 and drawn == sorted(drawn) and drawn[0] < drawn[-1] == 6
 
 
 # --- stopping and going on -------------------------------------------------------------
@@ -184,8 +195,42 @@ def test_a_killed_run_loses_no_more_than_one_iteration(config, monkeypatch):
 def test_resuming_with_another_network_is_refused(config):
     folder = train_policy("walk", config, quiet=True)
     (folder / "DONE").unlink()
-    with pytest.raises(UserError):
+    with pytest.raises(UserError, match=r"started with ppo\.hidden \[8\], not \[6\]"):
         train_policy("walk", replace(config, steps=5 * BATCH, ppo=replace(TINY, hidden=(6,))), quiet=True)
+
+
+def test_a_learner_refuses_the_arrays_of_another_network():
+    eight, six = (Learner.create(5, 2, replace(TINY, hidden=(units,)), seed=0) for units in (8, 6))
+    with pytest.raises(UserError, match=r"actor\.0\.weight of shape \(8, 5\), this network \(6, 5\)"):
+        six.load_arrays(eight.arrays())
+
+
+@pytest.mark.parametrize("change, complaint", [
+    ({"env": EnvConfig(physics=PhysicsConfig(substeps=0))}, "env.physics.substeps must be at least 1, got 0"),
+    ({"env": EnvConfig(push_interval=-1.0)}, "env.push-interval must be at least 0, got -1"),
+    ({"env": EnvConfig(command_low=1.0, command_high=0.5)}, "env.command-high must be at least 1.0, got 0.5"),
+    ({"env": EnvConfig(command_low=0.0)}, "env.command-low must be above 0, got 0"),
+    ({"ppo": replace(TINY, init_std=0.0)}, "ppo.init-std must be above 0, got 0"),
+    ({"warm_std": float("nan")}, "warm-std must be above 0, got nan"),
+])  # fmt: skip
+def test_numbers_that_no_run_can_be_made_with(config, change, complaint):
+    with pytest.raises(UserError, match=re.escape(complaint)):
+        train_policy("walk", replace(config, **change), quiet=True)
+
+
+def test_every_kind_of_course_needs_a_robot(config):
+    with pytest.raises(UserError, match=r"ppo\.num-envs must be at least 5, got 4"):
+        train_policy("gen-5", replace(config, ppo=replace(TINY, num_envs=4)), quiet=True)
+
+
+def test_a_fault_before_the_first_iteration_leaves_the_finished_run(config, monkeypatch):
+    folder = train_policy("walk", config, quiet=True)
+    before = (folder / "policy.npz").read_bytes()
+    monkeypatch.setattr(runs, "make_env", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        train_policy("walk", replace(config, overwrite=True), quiet=True)
+    assert (folder / "policy.npz").read_bytes() == before and (folder / "DONE").exists()
+    assert not folder.with_name("seed0.old").exists()
 
 
 @pytest.mark.parametrize("flag, change", [
@@ -242,7 +287,7 @@ def test_weights_that_can_only_act_are_not_trained_further(config):
 def test_resuming_with_another_number_of_robots(config):
     folder = train_policy("walk", config, quiet=True)
     (folder / "DONE").unlink()
-    with pytest.raises(UserError, match=r"started with ppo\.num-envs 4, not 6"):
+    with pytest.raises(UserError, match=r"started with ppo\.num-envs 8, not 6"):
         train_policy("walk", replace(config, steps=5 * BATCH, ppo=replace(TINY, num_envs=6)), quiet=True)
 
 
@@ -284,6 +329,7 @@ def test_from_scratch_needs_nothing(config, tmp_path):
 @pytest.mark.parametrize("field, value, message", [
     ("action_scale", 0.25, r"trained with env\.action-scale 0\.25, this task has 0\.3"),
     ("action_repeat", 2, r"trained with env\.action-repeat 2, this task has 1"),
+    ("physics", {"timestep": 0.01, "substeps": 4}, r"trained to act every 0\.04 s, this task asks every 0\.02 s"),
 ])  # fmt: skip
 def test_policies_of_another_action_are_refused(config, tmp_path, finished_run, field, value, message):
     finished_run(tmp_path, "walk", steps=BATCH, config={"env": {field: value}})
@@ -397,8 +443,8 @@ def test_the_budget_is_the_same_with_and_without_dagger(config, tmp_path, finish
     config = replace(config, steps=90, supervised=replace(config.supervised, dagger_rounds=rounds))
     folder = train_policy("ps-sl-5", replace(config, selector=SelectorConfig(decision_steps=10)), quiet=True)
     states = int(float(progress(folder)[-1]["states"]))
-    # 90 states: 92 from 4 robots; 2 x 48 = 96; 5 x 20 = 100.  Never fewer than asked for.
-    assert states == {0: 92, 1: 96, 4: 100}[rounds]
+    # 90 states: 96 from 8 robots; 2 x 48 = 96; 5 x 24 = 120.  Never fewer than asked for.
+    assert states == {0: 96, 1: 96, 4: 120}[rounds]
     assert load_policy("ps-sl-5", config).decision_steps == 10
 
 
@@ -462,7 +508,7 @@ def test_a_post_generalist_goes_on_from_the_distilled_policy(config, tmp_path, f
     monkeypatch.setattr(policies, "POLICIES", budgets)
     for skill in ("walk", "climb-up", "climb-down", "leap", "beam"):
         finished_run(tmp_path, skill)
-    fine_tune = FineTuneConfig(num_steps=8, critic_steps=BATCH)
+    fine_tune = FineTuneConfig(num_steps=4, critic_steps=BATCH)
     config = replace(config, steps=0, distill=DistillConfig(dagger_rounds=1, epochs=1), fine_tune=fine_tune)
     folder = train_policy("post-gen", config, quiet=True)
     assert (tmp_path / "distilled" / "seed0" / "DONE").exists()

@@ -97,6 +97,13 @@ def test_bootstrap_interval_covers_the_mean():
     assert 0.88 <= hits / 150 <= 0.99
 
 
+@pytest.mark.parametrize("seeds, covered", [(2, 0.50), (3, 0.73), (5, 0.84)])
+def test_few_seeds_are_covered_as_the_docstring_says(seeds, covered):
+    rng = np.random.default_rng(0)
+    intervals = [bootstrap_interval(rng.standard_normal((seeds, 1)), np.mean, resamples=500) for _ in range(500)]
+    assert np.mean([low <= 0.0 <= high for low, high in intervals]) == pytest.approx(covered, abs=0.05)
+
+
 def test_bootstrap_level_widens():
     scores = np.random.default_rng(0).standard_normal((4, 20))
     low90, high90 = bootstrap_interval(scores, level=0.9)

@@ -16,6 +16,7 @@ from agility_ref.cells import Cell
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS, Evaluation, EvaluationConfig
 from agility_ref.policies import TABLE_ROWS
+from agility_ref.stats import wilson_interval
 from agility_ref.table1 import (
     ENVIRONMENT_LABELS,
     PAPER_LABELS,
@@ -127,6 +128,17 @@ def test_success_is_all_eight_waypoints():
     ours = summarise([make_cell(waypoint_fraction=[1.0, 0.875] + [1.0] * 7 + [0.0])])
     # 8 of 10, whose Wilson interval is in stats.py
     assert ours.success == pytest.approx((0.8, 0.4902, 0.9433), abs=1e-4)
+
+
+def test_success_that_no_seed_has_is_not_certain():
+    # Wilson for 0 of 10 episodes, not of 20: both seeds play the same courses
+    ours = summarise([make_cell(seed=k, waypoint_fraction=[0.5] * 10) for k in (0, 1)])
+    assert ours.success == pytest.approx((0.0, *wilson_interval(0, 10))) and ours.success[2] > 0.25
+
+
+def test_seeds_that_disagree_widen_the_success_interval():
+    ours = summarise([make_cell(seed=k, waypoint_fraction=[float(k)] * 10) for k in (0, 1)])
+    assert ours.success == (0.5, 0.0, 1.0)
 
 
 def test_seeds_may_differ_in_episodes_as_published():

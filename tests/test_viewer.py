@@ -231,11 +231,15 @@ def test_single_policy_has_no_skills(oracle):
     assert session.skill is None and session.skill_names == () and "skill" not in session.status()
 
 
-@pytest.mark.parametrize("environment, config", [("gaps", CONFIG), ("gap", EvaluationConfig(difficulty=2.0))])
-def test_bad_sessions_are_user_errors(oracle, environment, config):
+@pytest.mark.parametrize("environment, config, message", [
+    ("gaps", CONFIG, "unknown environment 'gaps'"),
+    ("gap", EvaluationConfig(difficulty=2.0), "between 0 and 1, not 2.0"),
+    ("gap", EvaluationConfig(seed=-1), "seed must be at least 0, not -1"),
+])  # fmt: skip
+def test_bad_sessions_are_user_errors(oracle, environment, config, message):
     from agility_ref.viewer import Session
 
-    with pytest.raises(UserError):
+    with pytest.raises(UserError, match=message):
         Session(oracle, environment, config)
 
 
