@@ -19,6 +19,7 @@ both as text.
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from math import isnan, nan
+from statistics import mode
 
 import numpy as np
 
@@ -139,14 +140,14 @@ def text(findings: Iterable[Finding]) -> str:
         for c in finding.comparisons:
             paper = "" if isnan(c.paper) else f"paper {c.paper:+.2f}"
             lines.append(f"    {c.text:{width}}  {c!s:24} {c.verdict:15} {c.seeds:2} seeds  {paper}".rstrip())
-    if most_seeds(findings) == 1:
+    if usual_seeds(findings) == 1:
         lines += ["", f"One training seed: {ONE_SEED}"]
     return "\n".join(lines[1:])
 
 
-def most_seeds(findings: list[Finding]) -> int:
-    """Return the largest number of training seeds behind a comparison."""
-    return max((c.seeds for f in findings for c in f.comparisons), default=0)
+def usual_seeds(findings: list[Finding]) -> int:
+    """Return the number of training seeds behind most comparisons, those not measured apart."""
+    return mode([c.seeds for f in findings for c in f.comparisons if c.seeds] or [0])
 
 
 def markdown(findings: Iterable[Finding], caption: str) -> str:
@@ -163,7 +164,7 @@ def markdown(findings: Iterable[Finding], caption: str) -> str:
         "short (`agility_ref/stats.py`).  *Seeds* are training seeds; one seed says nothing about another.  *Paper* is the same difference of the means that the paper prints, without an interval.",
         "",
     ]
-    if most_seeds(findings) == 1:
+    if usual_seeds(findings) == 1:
         parts += [f"**One training seed**: {ONE_SEED}", ""]
     parts += ["| verdict | claim | section |", "|---|---|---|"]
     parts += [f"| {f.verdict} | {f.claim} | {f.section} |" for f in findings]

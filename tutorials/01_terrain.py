@@ -138,7 +138,8 @@ for x_robot, yaw in ((1.0, 0.0), (1.0, 0.5), (5.0, 3.0)):  # [m], [rad]; the las
 # shaded part is the range of the `quick` preset; `full` goes to d = 1.  A Go1 stands 0.29 m
 # tall at the hips, which tells you what a 0.45 m step means.
 #
-# *A right figure:* three lines, two rising and one falling, two of them with small stairs.
+# *A right figure:* four curves, three rising and one falling, two of them with small stairs, and a dotted line at the
+# height of the hips.
 
 # %%
 d = np.linspace(0, 1, 2001)

@@ -49,7 +49,7 @@ TERRAINS = ("climb", "gap", "beam", "climb-gap")
 #
 # *A right figure:* `leap` is bright at `gap` and `beam` at `beam`; `climb-up` is half bright at `climb`, whose courses
 # go up and then down; `climb-down` never gets up.  The column `climb-gap` has no bright cell: **no specialist
-# finishes a course that needs three skills**.
+# finishes more than a few of the easiest courses that need three skills**.
 
 # %%
 fractions = {}
