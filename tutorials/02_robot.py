@@ -192,7 +192,7 @@ for name, part in observation_slices().items():
 # *A right figure:* `alive` and `tracking_yaw` stand near their weights in `RewardConfig`, because
 # nobody falls and everybody faces the waypoint.  `tracking_goal_vel`, the largest weight of all,
 # is not even positive: twitching gets nobody anywhere, and landing from the start pose slides the
-# robots back a little.  `gait_sync` costs about as much as `alive` earns: feet that shake lose contact one by
+# robots back a little.  `gait_sync` costs about as much as that slide: feet that shake lose contact one by
 # one.  `standing` is always 0 on level ground, where `alive` is paid instead; the rest are small.
 
 # %%
