@@ -268,26 +268,28 @@ def rollout(
     env: Go1Env,
     seed: int,
     enough: Callable[[list[np.ndarray]], bool] = first_episodes,
-    watch: Callable[[], dict[str, np.ndarray]] = dict,
+    before: Callable[[np.ndarray], dict[str, np.ndarray]] = lambda action: {},
+    after: Callable[[dict], dict[str, np.ndarray]] = lambda info: {},
 ) -> dict[str, np.ndarray]:
     """Step until ``enough`` of the list of ``done`` arrays is true; return (T, N, ...) arrays.
 
     Robots whose episode ends begin another one at once.  ``waypoints`` is the count after the
     step, before the reset; ``skill`` and ``oracle`` are there for hierarchies only; whatever
-    ``watch`` returns is taken before each step.
+    ``before`` (given the action) and ``after`` (given the info) return is kept of each step too.
     """
     observation, _ = env.reset(seed)
     policy.reset()
     r: dict[str, list[np.ndarray]] = defaultdict(list)
     while not r["done"] or not enough(r["done"]):
-        for name, values in watch().items():
-            r[name].append(values)
         if isinstance(policy, Hierarchy):
             r["oracle"].append(policy.labels[env.oracle_skill()])
         action, skill = policy.act(observation, env)
         if skill is not None:
             r["skill"].append(skill.copy())
+        seen = before(action)
         observation, reward, terminated, truncated, info = env.step(action)
+        for name, values in (seen | after(info)).items():
+            r[name].append(values)
         r["reward"].append(reward)
         r["waypoints"].append(info["episode"]["waypoints"])
         r["edge"].append(info["feet_on_edge"])

@@ -14,12 +14,17 @@ import numpy as np
 
 from agility_ref.env import Go1Env
 from agility_ref.errors import UserError
-from agility_ref.evaluate import EvaluationConfig, evaluation_courses
-from agility_ref.go1 import BODY_TOUCH
+from agility_ref.evaluate import EvaluationConfig, evaluation_courses, in_first_episode, rollout
+from agility_ref.go1 import BODY_TOUCH, DEFAULT_DOF_POS
+from agility_ref.rewards import TERMS
 from agility_ref.selector import Hierarchy, Single
 from agility_ref.task import EnvConfig
 from agility_ref.terrain import NUM_WAYPOINTS, Course
 from agility_ref.world import World
+
+# State arrays of the same name: the simulation's, and what the environment keeps track of.
+SIMULATED = ("qpos", "foot_pos", "torque")
+FOLLOWED = ("foot_contact", "foot_on_edge", "waypoint_index")
 
 
 @dataclass(frozen=True)
@@ -135,48 +140,35 @@ def record(
 
 def play(policy: Single | Hierarchy, env: Go1Env, environment: str, seed: int) -> list[Episode]:
     """Play one episode of every robot of ``env``; robot i stays on course i."""
-    observation, _ = env.reset(seed)
-    policy.reset()
-    views = {name: getattr(env.simulation, name) for name in ("qpos", "foot_pos", "torque", "sensors")}
-    command, course = env.command.copy(), env.course.copy()
-    hierarchy = isinstance(policy, Hierarchy)
-    n = env.num_envs
-    length, fell, reached = np.zeros(n, int), np.zeros(n, bool), np.zeros(n, int)
-    rows: list[dict[str, np.ndarray]] = []
-    terms: list[dict[str, np.ndarray]] = []
-    while (length == 0).any():
-        row = {name: view.copy() for name, view in views.items()}
-        for name in ("foot_contact", "foot_on_edge", "waypoint_index"):
-            row[name] = getattr(env, name).copy()
+    simulation, c = env.simulation, env.config
+
+    def before(action: np.ndarray) -> dict[str, np.ndarray]:
+        row = {name: getattr(simulation, name).copy() for name in SIMULATED}
+        row |= {name: getattr(env, name).copy() for name in (*FOLLOWED, "command", "course")}
+        row["body_contact"] = simulation.sensors[:, BODY_TOUCH] > 0
         row["heading_error"] = env.heading_error[:, 0].copy()
-        action, skill = policy.act(observation, env)
-        if hierarchy:
-            row["skill"], row["wanted"] = skill.copy(), policy.labels[env.oracle_skill()]
-        c = env.config
-        row["target"] = env.simulation.models[0].key_ctrl[0] + c.action_scale * np.clip(
-            np.float64(action), -c.action_limit, c.action_limit
-        )
-        observation, _, terminated, truncated, info = env.step(action)
-        rows.append(row)
-        terms.append(info["reward_terms"])
-        ended = (terminated | truncated) & (length == 0)
-        length[ended], fell[ended] = len(rows), terminated[ended]
-        reached[ended] = info["episode"]["waypoints"][ended]
-    states = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
-    states["body_contact"] = states.pop("sensors")[:, :, BODY_TOUCH] > 0
-    rewards = {name: np.stack([term[name] for term in terms]) for name in terms[0]}
+        row["target"] = DEFAULT_DOF_POS + c.action_scale * np.clip(np.float64(action), -c.action_limit, c.action_limit)
+        return row
+
+    r = rollout(policy, env, seed, before=before, after=lambda info: info["reward_terms"])
+    alive = in_first_episode(r["done"])
+    length, fell = alive.sum(axis=0), (r["terminated"] & alive).any(axis=0)
+    reached = (r["waypoints"] * alive).max(axis=0)
+    states = (*SIMULATED, *FOLLOWED, "body_contact", "heading_error", "target")
+    choices = {"skill": r.get("skill"), "wanted": r.get("oracle")}
     return [
         Episode(
             policy=policy.name,
             environment=environment,
-            course=env.world.courses[course[i]],
-            dt=env.config.dt,
-            command=float(command[i]),
+            course=env.world.courses[r["course"][0, i]],
+            dt=c.dt,
+            command=float(r["command"][0, i]),
             fell=bool(fell[i]),
             reached=int(reached[i]),
-            skills=tuple(s.name for s in policy.skills) if hierarchy else (),
-            reward_terms={name: values[: length[i], i] for name, values in rewards.items()},
-            **{name: values[: length[i], i] for name, values in states.items()},
+            skills=tuple(s.name for s in policy.skills) if isinstance(policy, Hierarchy) else (),
+            reward_terms={name: r[name][: length[i], i] for name in TERMS},
+            **{name: r[name][: length[i], i] for name in states},
+            **{name: None if values is None else values[: length[i], i] for name, values in choices.items()},
         )
-        for i in range(n)
+        for i in range(env.num_envs)
     ]

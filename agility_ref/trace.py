@@ -55,10 +55,10 @@ def play(policy: Hierarchy, env: Go1Env, environment: str, seed: int) -> Trace:
     """Play one complete episode of every robot of ``env`` with the deterministic policy."""
     qpos, qvel = env.simulation.qpos, env.simulation.qvel
 
-    def watch() -> dict[str, np.ndarray]:
+    def before(action: np.ndarray) -> dict[str, np.ndarray]:
         return {"position": qpos[:, :3].copy(), "velocity": qvel[:, :3].copy(), "course": env.course.copy()}
 
-    r = rollout(policy, env, seed, watch=watch)
+    r = rollout(policy, env, seed, before=before)
     alive = in_first_episode(r["done"])
     return Trace(
         policy=policy.name,
