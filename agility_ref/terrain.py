@@ -167,8 +167,11 @@ def _climb_down(d: float, rng: np.random.Generator) -> Course:
     return _terraces("climb-down", (-1, -2, -3, -4, -5, -6, -6), d, rng)
 
 
-def _islands(kind: str, moves: str, d: float, rng: np.random.Generator) -> Course:
-    """Platforms separated, in the order of ``moves``, by gaps (g) and steps up (u) or down (d)."""
+def islands(kind: str, moves: str, d: float, rng: np.random.Generator) -> Course:
+    """Platforms separated, in the order of ``moves``, by gaps (g) and steps up (u) or down (d).
+
+    Courses of the table have six moves; others are for experiments.
+    """
     h, g = step_height(d), gap_width(d)
     boxes, obstacles, waypoints = [_slab(0.0, START_LENGTH, 0.0)], [], [(2.0, 0.0)]
     x, top = START_LENGTH, 0.0
@@ -192,12 +195,12 @@ def _islands(kind: str, moves: str, d: float, rng: np.random.Generator) -> Cours
 
 def _gap(d: float, rng: np.random.Generator) -> Course:
     """Six gaps across the lane, a pit below each."""
-    return _islands("gap", "gggggg", d, rng)
+    return islands("gap", "gggggg", d, rng)
 
 
 def _climb_gap(d: float, rng: np.random.Generator) -> Course:
     """Blocks climbed up and down, gaps between them: the paper's Climb+Gap."""
-    return _islands("climb-gap", "ugudgd", d, rng)
+    return islands("climb-gap", "ugudgd", d, rng)
 
 
 def _beam(d: float, rng: np.random.Generator) -> Course:

@@ -12,6 +12,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
 import ablations
+import climb_gap
 import common
 import evaluation_seeds
 import fidelity
@@ -27,10 +28,13 @@ from agility_ref.curriculum import CurriculumConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import Evaluation, EvaluationConfig
 from agility_ref.evidence import read_ablations
+from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.policies import POLICIES, PPOConfig
 from agility_ref.runs import train_policy
+from agility_ref.selector import oracle_hierarchy
 from agility_ref.task import EnvConfig
 from agility_ref.terrain import make_course
+from agility_ref.world import World
 
 TINY = {
     "preset": "quick",
@@ -405,3 +409,33 @@ def test_a_table_agrees_with_itself(capsys):
     assert all(value == 1.0 for metric in shares.values() for name, value in metric.items() if name != "cells")
     with pytest.raises(UserError, match="no table at nowhere"):
         evaluation_seeds.read_cells("nowhere")
+
+
+# --- Climb+Gap ----------------------------------------------------------------------------
+
+
+def test_the_short_sighted_see_no_deep_ground_and_all_else_as_it_is():
+    seen = []
+    skill = climb_gap.ShortSighted(lambda observation: seen.append(observation), depth=0.2)
+    observation = np.linspace(-1.0, 1.0, OBS_DIM)[None].astype(np.float32)
+    skill(observation)
+    rest = np.r_[0 : SCANDOTS.start, SCANDOTS.stop : OBS_DIM]
+    np.testing.assert_array_equal(seen[0][:, rest], observation[:, rest])
+    dots, before = seen[0][0, SCANDOTS], observation[0, SCANDOTS]
+    assert (dots[before <= 0.2] == before[before <= 0.2]).all() and (dots[before > 0.2] == np.float32(0.2)).all()
+    assert observation.max() == 1.0  # its own copy
+
+
+def test_cutting_off_leaves_the_other_skills(five_skills):
+    oracle = climb_gap.cut_off(oracle_hierarchy("oracle", five_skills), ("leap",), 0.3)
+    assert [type(skill).__name__ for skill in oracle.skills].count("ShortSighted") == 1
+    assert oracle.skills[3].policy is five_skills["leap"] and oracle.skills[0] is five_skills["walk"]
+
+
+def test_the_layout_of_climb_gap_is_that_of_the_table(monkeypatch, five_skills):
+    built = []
+    monkeypatch.setattr(climb_gap, "World", lambda courses: built.extend(courses) or World(courses))
+    config = climb_gap.Config(episodes=2)
+    climb_gap.play(oracle_hierarchy("oracle", five_skills), climb_gap.CLIMB_GAP, config)
+    expected = make_course("climb-gap", 0.5, np.random.default_rng([0, 1]))
+    assert built[1].boxes == expected.boxes and len(built) == 2
