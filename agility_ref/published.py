@@ -32,7 +32,7 @@ def as_published(
       the memory of 1000 values keeps the **last steps of the run** alone (with 256 robots
       the last four), whatever episode they belong to;
     * of more than 1000 ended episodes the last 1000 count;
-    * the standard deviations of :func:`mean_std`.
+    * the standard deviations of :func:`agility_ref.evaluate.mean_std`.
 
     Not reproduced, because it lies in the task and not in the counting:
 
