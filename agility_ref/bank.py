@@ -47,6 +47,8 @@ class TrainConfig:
     """Start from the policy that the table of policies names; False for from scratch."""
     warm_std: float = 0.5
     """Exploration noise after a warm start; usual 0.3 to 0.8."""
+    sight: bool = True
+    """Let the trained policy see ground no higher or lower than its own courses show it; not for selectors."""
     ppo: PPOConfig = PPOConfig()
     """Hyper-parameters of PPO."""
     env: EnvConfig = TRAINING

@@ -156,7 +156,11 @@ class Policy:
     mean: np.ndarray
     """(obs_dim,) subtracted from the observation."""
     std: np.ndarray
-    """(obs_dim,) divides the difference, which is then clipped to +-5."""
+    """(obs_dim,) divides the difference."""
+    low: np.ndarray
+    """(obs_dim,) the quotient is clipped to this, -5 or where the checkpoint's ``seen.low`` lies, if that is higher ..."""
+    high: np.ndarray
+    """... and to this, 5 or where ``seen.high`` lies."""
     meta: dict
 
     @classmethod
@@ -172,6 +176,15 @@ class Policy:
             mean, std = arrays["normalizer.mean"], np.sqrt(arrays["normalizer.var"] + 1e-8)
             if std.shape != mean.shape:
                 raise UserError(f"{source}: normalizer.var has shape {std.shape}, mean {mean.shape}")
+            seen = [
+                arrays.get(f"seen.{end}", np.full_like(mean, limit))
+                for end, limit in (("low", -np.inf), ("high", np.inf))
+            ]
+            if any(limit.shape != mean.shape for limit in seen):
+                raise UserError(
+                    f"{source}: seen.low and seen.high have shapes {[a.shape for a in seen]}, mean {mean.shape}"
+                )
+            low, high = (np.clip((limit - mean) / std, -5.0, 5.0).astype(np.float32) for limit in seen)
             width = len(mean)
             for weight, bias in layers:
                 if weight.shape != (len(bias), width):
@@ -181,7 +194,7 @@ class Policy:
             raise UserError(f"{source} lacks the array {error}") from None
         if not layers or width != meta.get("act_dim", width):
             raise UserError(f"{source} holds {len(layers)} actor layers with {width} outputs")
-        return cls(meta.get("policy", "?"), tuple(layers), mean, std.astype(np.float32), meta)
+        return cls(meta.get("policy", "?"), tuple(layers), mean, std.astype(np.float32), low, high, meta)
 
     @classmethod
     def load(cls, path: Path) -> "Policy":
@@ -191,7 +204,7 @@ class Policy:
 
     def digest(self) -> str:
         """Return a short digest of everything that decides its actions."""
-        arrays = [self.mean, self.std, *(array for layer in self.layers for array in layer)]
+        arrays = [self.mean, self.std, self.low, self.high, *(array for layer in self.layers for array in layer)]
         return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()[:16]
 
     @property
@@ -201,5 +214,5 @@ class Policy:
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Return the mean action (or logits) for observations (n, obs_dim)."""
-        x = np.clip((observation - self.mean) / self.std, -5.0, 5.0)
+        x = np.clip((observation - self.mean) / self.std, self.low, self.high)
         return mlp(x, self.layers)

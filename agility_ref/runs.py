@@ -36,7 +36,7 @@ from agility_ref.curriculum import Curriculum, training_world
 from agility_ref.distill import collect_actions, fit_student
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.errors import UserError
-from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
+from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS, sight
 from agility_ref.policies import PolicySpec, find_policy, find_preset, requirements
 from agility_ref.progress import ProgressLog, StopRequest, read_rows, write_csv, write_text
 from agility_ref.selector import (
@@ -180,6 +180,12 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     env, curriculum = make_env(spec, config)
     act_dim = len(spec.skills) if selector else ACTION_DIM
     distribution = Categorical if selector else Gaussian
+    # A selector chooses on all courses and is to see all of them as they are.
+    seen = (
+        {}
+        if selector or not config.sight
+        else dict(zip(("seen.low", "seen.high"), sight(env.world, config.env.obs_dim), strict=True))
+    )
     learner = Learner.create(config.env.obs_dim, act_dim, ppo, config.seed, distribution, fixed=SCANDOTS)
     skills = load_bank(spec.skills, config)
     bank = digests(skills)
@@ -196,7 +202,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     start = last_drawn - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
 
     def save(compress: bool) -> None:
-        arrays = learner.arrays() | learner.training_arrays()
+        arrays = learner.arrays() | learner.training_arrays() | seen
         arrays |= {f"curriculum.{name}": value for name, value in curriculum.state().items()}
         meta = {
             "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": learner.steps,
