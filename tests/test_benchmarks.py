@@ -28,7 +28,7 @@ from agility_ref.curriculum import CurriculumConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import Evaluation, EvaluationConfig
 from agility_ref.evidence import read_ablations
-from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.observation import OBS_DIM
 from agility_ref.policies import POLICIES, PPOConfig
 from agility_ref.runs import train_policy
 from agility_ref.selector import oracle_hierarchy
@@ -414,22 +414,14 @@ def test_a_table_agrees_with_itself(capsys):
 # --- Climb+Gap ----------------------------------------------------------------------------
 
 
-def test_the_short_sighted_see_no_deep_ground_and_all_else_as_it_is():
-    seen = []
-    skill = climb_gap.ShortSighted(lambda observation: seen.append(observation), depth=0.2)
-    observation = np.linspace(-1.0, 1.0, OBS_DIM)[None].astype(np.float32)
-    skill(observation)
-    rest = np.r_[0 : SCANDOTS.start, SCANDOTS.stop : OBS_DIM]
-    np.testing.assert_array_equal(seen[0][:, rest], observation[:, rest])
-    dots, before = seen[0][0, SCANDOTS], observation[0, SCANDOTS]
-    assert (dots[before <= 0.2] == before[before <= 0.2]).all() and (dots[before > 0.2] == np.float32(0.2)).all()
-    assert observation.max() == 1.0  # its own copy
-
-
-def test_cutting_off_leaves_the_other_skills(five_skills):
-    oracle = climb_gap.cut_off(oracle_hierarchy("oracle", five_skills), ("leap",), 0.3)
-    assert [type(skill).__name__ for skill in oracle.skills].count("ShortSighted") == 1
-    assert oracle.skills[3].policy is five_skills["leap"] and oracle.skills[0] is five_skills["walk"]
+def test_unbounded_skills_see_what_there_is_and_the_others_do_not(five_skills):
+    zeros = np.zeros(OBS_DIM, np.float32)
+    blind = {name: replace(skill, low=zeros, high=zeros) for name, skill in five_skills.items()}
+    oracle = climb_gap.unbounded(oracle_hierarchy("oracle", blind), ("leap",))
+    observation = np.random.default_rng(0).uniform(-1.0, 1.0, (2, OBS_DIM)).astype(np.float32)
+    for name, skill in zip(climb_gap.ALL, oracle.skills, strict=True):
+        shown = five_skills[name] if name == "leap" else blind[name]
+        np.testing.assert_array_equal(skill(observation), shown(observation))
 
 
 def test_the_layout_of_climb_gap_is_that_of_the_table(monkeypatch, five_skills):

@@ -92,6 +92,21 @@ def test_numpy_policy_agrees_with_torch(path, learner, observations):
     np.testing.assert_allclose(Policy.load(path)(observations), expected, atol=1e-5)
 
 
+def test_a_policy_sees_nothing_beyond_its_bounds(learner):
+    """Entry 3 is bounded to 1 .. 2: what lies beyond looks like the bound, all else is as it was."""
+    low, high = np.full(9, -np.inf, np.float32), np.full(9, np.inf, np.float32)
+    low[3], high[3] = 1.0, 2.0
+    free = Policy.from_arrays(learner.arrays(), META)
+    bounded = Policy.from_arrays(learner.arrays() | {"seen.low": low, "seen.high": high}, META)
+    observations = np.tile(np.linspace(-1.0, 4.0, 9, dtype=np.float32), (4, 1))
+    observations[:, 3] = 0.0, 1.5, 2.0, 7.0
+    clipped = observations.copy()
+    clipped[:, 3] = 1.0, 1.5, 2.0, 2.0
+    np.testing.assert_allclose(bounded(observations), free(clipped), atol=1e-5)
+    assert np.abs(bounded(observations) - free(observations)).max(axis=1).round(4).astype(bool).tolist() == [1, 0, 0, 1]
+    assert bounded.digest() != free.digest()
+
+
 def test_resumed_learner_acts_bit_equally(path, learner, observations):
     other = Learner.create(9, 3, PPOConfig(hidden=(16, 8)), seed=5, fixed=slice(5, 9))
     other.load_arrays(checkpoint.load(path)[0])
@@ -249,6 +264,12 @@ def test_other_number_of_actions(path, learner):
 def test_normaliser_that_does_not_fit(path, learner):
     checkpoint.save(path, learner.arrays() | {"normalizer.var": np.ones(4, np.float32)}, META)
     refused(path, "normalizer|shape")
+
+
+def test_bounds_that_do_not_fit(path, learner):
+    checkpoint.save(path, learner.arrays() | {"seen.low": np.zeros(8, np.float32)}, META)
+    with pytest.raises(UserError, match=r"seen.low .*\(8,\)"):
+        Policy.load(path)
 
 
 def test_foreign_layer_names(path, learner):

@@ -15,7 +15,7 @@ from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
 from agility_ref.go1 import PhysicsConfig
 from agility_ref.learner import Learner
-from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
+from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.policies import PPOConfig, find_policy
 from agility_ref.progress import PROGRESS, read_rows
 from agility_ref.rewards import RewardConfig
@@ -80,6 +80,21 @@ def test_config_is_recorded(config):
     record = json.loads((train_policy("walk", config, quiet=True) / "config.json").read_text())
     assert record["policy"] == "walk"
     assert record["ppo"]["num_envs"] == 8 and record["preset"] == "quick" and record["steps"] == 3 * BATCH
+
+
+def test_a_trained_policy_sees_what_its_own_courses_show(config):
+    """Rough ground of d <= 0.4 has tiles within +-0.018 m: nothing of it lies 0.2 m above or below a robot."""
+    arrays, _ = checkpoint.load(train_policy("walk", config, quiet=True) / "policy.npz")
+    assert (np.abs([arrays["seen.low"][SCANDOTS], arrays["seen.high"][SCANDOTS]]) < 0.2).all()
+    free = replace(config, sight=False, out=config.out + "/free")
+    assert "seen.low" not in checkpoint.load(train_policy("walk", free, quiet=True) / "policy.npz")[0]
+
+
+def test_a_selector_sees_all_there_is(config, tmp_path, finished_run):
+    for skill in find_policy("ps-rl-3").skills:
+        finished_run(tmp_path, skill)
+    arrays, _ = checkpoint.load(train_policy("ps-rl-3", config, quiet=True) / "policy.npz")
+    assert "seen.low" not in arrays
 
 
 def test_checkpoint_holds_what_training_needs(config):
