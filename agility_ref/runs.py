@@ -180,12 +180,9 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     env, curriculum = make_env(spec, config)
     act_dim = len(spec.skills) if selector else ACTION_DIM
     distribution = Categorical if selector else Gaussian
-    # A selector chooses on all courses and is to see all of them as they are.
-    seen = (
-        {}
-        if selector or not config.sight
-        else dict(zip(("seen.low", "seen.high"), sight(env.world, config.env.obs_dim), strict=True))
-    )
+    seen = {}
+    if config.sight and not selector:  # which chooses on all courses and is to see them as they are
+        seen["seen.low"], seen["seen.high"] = sight(env.world, config.env.obs_dim)
     learner = Learner.create(config.env.obs_dim, act_dim, ppo, config.seed, distribution, fixed=SCANDOTS)
     skills = load_bank(spec.skills, config)
     bank = digests(skills)
