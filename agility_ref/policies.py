@@ -130,7 +130,7 @@ _SPECS = (
     PolicySpec("distilled", "Distilled", "distilled", SEVEN, (300_000, 1 * M), teachers=FIVE),
     PolicySpec(
         "post-gen", "Post-GEN", "ppo", ("climb", "gap", "beam", "walk", "climb-gap"),
-        (2_500_000, 15 * M), "distilled",
+        (2_500_000, 6 * M), "distilled",
     ),
 )  # fmt: skip
 POLICIES = {spec.name: spec for spec in _SPECS}
