@@ -178,6 +178,23 @@ def mean_std(values: np.ndarray, metric: str, protocol: str) -> tuple[float, flo
     return float(values.mean()), std
 
 
+def check_evaluation(config: EvaluationConfig) -> None:
+    """Refuse settings that cannot be played.
+
+    Raises
+    ------
+    UserError : unknown protocol, negative seed, no episodes, difficulty outside [0, 1]
+    """
+    if config.protocol not in PROTOCOLS:
+        raise unknown_name("protocol", config.protocol, PROTOCOLS)
+    if config.seed < 0:
+        raise UserError(f"seed must be at least 0, not {config.seed}")
+    if config.episodes < 1:
+        raise UserError(f"episodes must be at least 1, not {config.episodes}")
+    if config.difficulty is not None and not 0.0 <= config.difficulty <= 1.0:
+        raise UserError(f"difficulty must be between 0 and 1, not {config.difficulty}")
+
+
 @lru_cache(maxsize=1)  # 2 MB a course, and a table goes through one terrain after another
 def evaluation_world(environment: str, config: EvaluationConfig) -> World:
     """Build the terrain of an evaluation; see :func:`evaluation_courses`."""
@@ -199,14 +216,7 @@ def evaluation_courses(environment: str, config: EvaluationConfig) -> list[Cours
     """
     if environment not in COURSE_KINDS:
         raise unknown_name("environment", environment, COURSE_KINDS)
-    if config.protocol not in PROTOCOLS:
-        raise unknown_name("protocol", config.protocol, PROTOCOLS)
-    if config.seed < 0:
-        raise UserError(f"seed must be at least 0, not {config.seed}")
-    if config.episodes < 1:
-        raise UserError(f"episodes must be at least 1, not {config.episodes}")
-    if config.difficulty is not None and not 0.0 <= config.difficulty <= 1.0:
-        raise UserError(f"difficulty must be between 0 and 1, not {config.difficulty}")
+    check_evaluation(config)
     highest = find_preset(config.preset).max_difficulty
     kind = COURSE_KINDS.index(environment)
     courses, first = [], 0.0

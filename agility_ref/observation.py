@@ -15,7 +15,7 @@ from agility_ref.world import World
 SCANDOT_X = np.arange(-0.45, 1.21, 0.15, dtype=np.float32)  # (12,) [m] ahead of the trunk
 SCANDOT_Y = np.arange(-0.75, 0.76, 0.15, dtype=np.float32)  # (11,) [m] to its left
 NUM_SCANDOTS = len(SCANDOT_X) * len(SCANDOT_Y)  # 132
-STANDING_HEIGHT = 0.3  # [m] of the trunk above level ground, where its scandots read 0
+SCANDOT_ZERO = 0.3  # [m] under the trunk: ground there reads 0
 SIGHT_MARGIN = 0.1  # [m] by which a walking trunk bobs, and what noise adds
 _GRID = np.stack(np.meshgrid(SCANDOT_X, SCANDOT_Y, indexing="ij")).reshape(2, -1) / np.float32(CELL)  # in cells
 _LAST_CELL = np.array([[n - 1] for n in GRID_SHAPE], np.int32)
@@ -128,7 +128,7 @@ def scandots(world: World, course: np.ndarray, pos: np.ndarray, yaw: np.ndarray)
     flat = cell[:, 0] * GRID_SHAPE[1]
     flat += cell[:, 1]
     flat += (course * (GRID_SHAPE[0] * GRID_SHAPE[1])).astype(np.int32)[:, None]
-    seen = (pos[:, 2:] - STANDING_HEIGHT).astype(np.float32) - world.scan.reshape(-1).take(flat)
+    seen = (pos[:, 2:] - SCANDOT_ZERO).astype(np.float32) - world.scan.reshape(-1).take(flat)
     return np.minimum(np.maximum(seen, -1.0, out=seen), 1.0, out=seen)
 
 
@@ -160,7 +160,7 @@ def sight(world: World, obs_dim: int = OBS_DIM) -> tuple[np.ndarray, np.ndarray]
         line = np.column_stack([x, np.interp(x, *waypoints.T)])
         lower = world.support[course, world.column(x)]
         for level in (lower, np.maximum(lower, world.ground(course, line))):
-            views.append(scandots(world, on, np.column_stack([line, level + STANDING_HEIGHT]), np.zeros(len(x))))
-    low[SCANDOTS] = np.min([v.min(axis=0) for v in views], axis=0) - SIGHT_MARGIN
-    high[SCANDOTS] = np.max([v.max(axis=0) for v in views], axis=0) + SIGHT_MARGIN
+            views.append(scandots(world, on, np.column_stack([line, level + SCANDOT_ZERO]), np.zeros(len(x))))
+    seen = np.concatenate(views)
+    low[SCANDOTS], high[SCANDOTS] = seen.min(axis=0) - SIGHT_MARGIN, seen.max(axis=0) + SIGHT_MARGIN
     return low, high

@@ -20,7 +20,7 @@ import numpy as np
 
 from agility_ref.env import Go1Env
 from agility_ref.errors import UserError, unknown_name
-from agility_ref.evaluate import EvaluationConfig
+from agility_ref.evaluate import EvaluationConfig, check_evaluation
 from agility_ref.plots import GREY, SKILL_COLOURS
 from agility_ref.policies import find_preset
 from agility_ref.record import Episode
@@ -41,11 +41,8 @@ class Session:
     def __init__(self, policy: Single | Hierarchy, environment: str, config: EvaluationConfig):
         if environment not in COURSE_KINDS:
             raise unknown_name("environment", environment, COURSE_KINDS)
-        if config.seed < 0:
-            raise UserError(f"seed must be at least 0, not {config.seed}")
+        check_evaluation(config)
         highest = find_preset(config.preset).max_difficulty
-        if config.difficulty is not None and not 0.0 <= config.difficulty <= 1.0:
-            raise UserError(f"difficulty must be between 0 and 1, not {config.difficulty}")
         self.policy, self.environment, self.config = policy, environment, config
         self.difficulty = highest / 2 if config.difficulty is None else config.difficulty
         self.paused = False

@@ -16,8 +16,7 @@ from learning import tell
 
 from agility_ref.bank import TrainConfig, load_policy
 from agility_ref.env import Go1Env
-from agility_ref.errors import UserError
-from agility_ref.evaluate import in_first_episode, rollout, waypoint_fraction
+from agility_ref.evaluate import EvaluationConfig, check_evaluation, in_first_episode, rollout, waypoint_fraction
 from agility_ref.policies import find_policy
 from agility_ref.selector import Hierarchy
 from agility_ref.stats import paired_difference
@@ -105,10 +104,7 @@ def show(rows: list[dict]) -> list[dict]:
 
 def main(config: Config) -> None:
     started = machine()
-    if not 0.0 <= config.difficulty <= 1.0:
-        raise UserError(f"difficulty must be between 0 and 1, not {config.difficulty}")
-    if config.episodes < 1 or config.seed < 0:
-        raise UserError(f"episodes start at 1 and seeds at 0, got {config.episodes} and {config.seed}")
+    check_evaluation(EvaluationConfig(config.episodes, config.seed, difficulty=config.difficulty))
     oracle = load_policy("oracle", TrainConfig(seed=config.train_seed, out=config.runs))
     layouts, singles = measure(oracle, config)
     figures = {"config": asdict(config), "layouts": layouts, "singles": singles}
