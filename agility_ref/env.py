@@ -128,7 +128,7 @@ class Go1Env:
         self._reach_timer = np.zeros(n, int)
         self._step_count = np.zeros(n, int)
         self._reach_step = np.zeros(n, int)  # step count at the last waypoint
-        self._push_timer = np.zeros(n, int)  # control steps until the next push
+        self.push_timer = np.zeros(n, int)  # control steps until the next push, which comes with the step that makes it 0
         self._last_action = np.zeros((n, ACTION_DIM))
         self._scandots = np.zeros((n, NUM_SCANDOTS), np.float32)
         self._clock = 0  # control steps since the environment was made
@@ -231,11 +231,11 @@ class Go1Env:
 
     def _push(self, direction: np.ndarray) -> None:
         """Overwrite the horizontal velocity of the robots whose push is due; direction (N, 2) in +-1."""
-        self._push_timer -= 1
-        due = np.flatnonzero(self._push_timer == 0)  # never, where pushes are off: it starts at 0
+        self.push_timer -= 1
+        due = np.flatnonzero(self.push_timer == 0)  # never, where pushes are off: it starts at 0
         if len(due):
             self._qvel[due, :2] = self.config.push_velocity * direction[due]
-            self._push_timer[due] = self._push_steps
+            self.push_timer[due] = self._push_steps
 
     def _draw_course(self, ids: np.ndarray, waypoint_fraction: np.ndarray | None) -> np.ndarray:
         return self.rng.integers(0, len(self.world), len(ids))
@@ -247,7 +247,7 @@ class Go1Env:
         self.simulation.place(ids, self.course[ids], qpos)
         self.command[ids] = rng.uniform(c.command_low, c.command_high, n)
         if self._push_steps:
-            self._push_timer[ids] = rng.integers(1, self._push_steps + 1, n)
+            self.push_timer[ids] = rng.integers(1, self._push_steps + 1, n)
         for array in (
             self.waypoint_index, self._reach_timer, self._reach_step, self._step_count, self._last_action,
             self._episode_reward, self._episode_edge, self.foot_contact, self.foot_on_edge,

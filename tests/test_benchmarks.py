@@ -4,6 +4,7 @@ import json
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -18,6 +19,7 @@ import evaluation_seeds
 import fidelity
 import learning
 import physics
+import pushes
 import skills_table
 import time_to_skill
 import time_to_walk
@@ -31,7 +33,7 @@ from agility_ref.evidence import read_ablations
 from agility_ref.observation import OBS_DIM
 from agility_ref.policies import POLICIES, PPOConfig
 from agility_ref.runs import train_policy
-from agility_ref.selector import oracle_hierarchy
+from agility_ref.selector import Single, oracle_hierarchy
 from agility_ref.task import EnvConfig
 from agility_ref.terrain import make_course
 from agility_ref.world import World
@@ -431,3 +433,41 @@ def test_the_layout_of_climb_gap_is_that_of_the_table(monkeypatch, five_skills):
     climb_gap.play(oracle_hierarchy("oracle", five_skills), climb_gap.CLIMB_GAP, config)
     expected = make_course("climb-gap", 0.5, np.random.default_rng([0, 1]))
     assert built[1].boxes == expected.boxes and len(built) == 2
+
+
+# --- pushes -------------------------------------------------------------------------------
+
+
+def test_a_fall_is_put_down_to_the_pushes_shortly_before_it():
+    fell = np.zeros((6, 2), bool)
+    fell[4, 0] = True  # robot 1 never falls
+    soon = pushes.falls_soon(fell, 2)
+    assert soon[:, 0].tolist() == [False, False, True, True, True, False] and not soon[:, 1].any()
+
+
+def test_only_a_push_that_is_due_in_the_air_waits():
+    contact = np.array([[0, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0], [0, 0, 0, 0]], bool)
+    env = SimpleNamespace(push_timer=np.array([1, 1, 5, 0]), foot_contact=contact)
+    pushes.wait_for_ground(env)
+    assert env.push_timer.tolist() == [2, 1, 5, 0]  # 0: pushes are off
+
+
+def test_pushes_are_counted_as_they_strike(monkeypatch, five_skills):
+    """Every 0.1 s, so one in every five steps of an episode, give or take one at either end."""
+    lengths, rollout = [], pushes.rollout
+
+    def spy(*given, **named):
+        r = rollout(*given, **named)
+        lengths.extend(pushes.in_first_episode(r["done"]).sum(axis=0))
+        return r
+
+    monkeypatch.setattr(pushes, "rollout", spy)
+    monkeypatch.setitem(pushes.PUSHES, "anywhere", 0.1)
+    evaluation = EvaluationConfig(episodes=3, difficulty=1.0)
+    played = pushes.play(Single("leap", five_skills["leap"]), "gap", evaluation, "anywhere", 1.0)
+    struck = sum(count for count, _ in played.falls.values())
+    assert abs(struck - sum(lengths) / 5) <= len(lengths)
+    assert played.falls["on the ground"][0] > 0 and all(after <= count for count, after in played.falls.values())
+    assert pushes.play(Single("leap", five_skills["leap"]), "gap", evaluation, "none", 1.0).falls == {
+        "in the air": (0, 0), "on the ground": (0, 0),
+    }  # fmt: skip
