@@ -5,6 +5,7 @@ Out: the policy, from the folder of its finished run or from the shipped weights
 does not fit the task or its skills.
 """
 
+import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -48,7 +49,7 @@ class TrainConfig:
     warm_std: float = 0.5
     """Exploration noise after a warm start; usual 0.3 to 0.8."""
     sight: bool = True
-    """Let the trained policy see ground no higher or lower than its own courses show it; not for selectors."""
+    """Let the trained policy see ground no higher or lower than its own courses show it; not for selectors and distilled policies."""
     ppo: PPOConfig = PPOConfig()
     """Hyper-parameters of PPO."""
     env: EnvConfig = TRAINING
@@ -92,10 +93,14 @@ def find_weights(policy: str, config: TrainConfig) -> Path | None:
 
     Raises
     ------
-    UserError : unknown policy or preset, or shipped weights that are damaged
+    UserError : unknown policy or preset, a run of another preset, or shipped weights that are damaged
     """
     find_preset(config.preset)
     own = run_folder(config.root, policy, config.seed)
+    settings = own / "config.json"
+    trained = json.loads(settings.read_text()).get("preset") if settings.exists() else config.preset
+    if (own / "DONE").exists() and trained != config.preset:
+        raise UserError(f"{own} was trained under the preset {trained}, not {config.preset}")
     return own / "policy.npz" if (own / "DONE").exists() else weights.shipped(config.preset, policy, config.seed)
 
 
@@ -129,7 +134,10 @@ def load_policy(policy: str, config: TrainConfig) -> Single | Hierarchy:
     found = digests(skills)
     for name, digest in own.meta.get("skills", {}).items():
         if found.get(name, digest) != digest:
-            raise UserError(f"{path} was trained over another {name} than {weights_path(name, config)}; train it again")
+            raise UserError(
+                f"{path} was trained over another {name} than {weights_path(name, config)}; train it again, "
+                "or give another --runs"
+            )
     return selector_hierarchy(policy, skills, own)
 
 

@@ -134,9 +134,10 @@ def steps_spent(policy: str, training: TrainConfig) -> int:
     UserError : weights are missing or unreadable
     """
     spec = find_policy(policy)
-    own = 0 if spec.method == "oracle" else checkpoint.load(weights_path(policy, training))[1]["steps"]
-    teachers = find_policy(spec.warm_start).teachers if spec.warm_start else spec.teachers
-    return own + bank_steps(spec.skills + teachers, training)
+    record = {} if spec.method == "oracle" else checkpoint.load(weights_path(policy, training))[1]
+    # Its own teachers, or those of the policy that it went on from.
+    teachers = find_policy(spec.warm_start).teachers if record.get("start") else spec.teachers
+    return record.get("steps", 0) + bank_steps(spec.skills + teachers, training)
 
 
 def read_cell(path: Path, meta: dict) -> Cell | None:

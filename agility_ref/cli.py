@@ -77,11 +77,12 @@ def evaluate(argv: list[str]) -> None:
     acting = {name: str(weights_path(name, training)) for name in acting_policies(args.policy)}
     summary = run(policy, args.environment, args.config).summary() | {"weights": acting}
     if args.json:
-        print(json.dumps(summary))
+        print(json.dumps(summary, allow_nan=False))
         return
     print(f"{args.policy} on {args.environment}: {summary['episodes']} episodes, {summary['environment_steps']} steps")
     for metric in METRICS:
-        print(f"  {metric:18} {summary[metric]['mean']:8.3f} ± {summary[metric]['std']:.3f}")
+        mean, std = summary[metric].values()
+        print(f"  {metric:18} {mean:8.3f} ± {'-' if std is None else f'{std:.3f}'}")
     print(f"  {'falls':18} {summary['falls']:8.3f}")
     for path in acting.values():
         print(f"  weights {path}")
@@ -130,6 +131,8 @@ def table1(argv: list[str]) -> None:
         raise UserError(f"--compare needs two policies or more, not {args.compare[0]} alone")
     for name in args.compare:
         find_policy(name)
+    if args.ablations and not Path(args.ablations).is_file():
+        raise UserError(f"no file of ablations at {args.ablations}")
     training = TrainConfig(preset=config.preset, out=args.runs if args.train else existing(args.runs))
     for seed in seeds if args.train else ():
         table1.train_all(replace(training, seed=seed))
@@ -145,6 +148,8 @@ def table1(argv: list[str]) -> None:
         print(clear, end="", file=sys.stderr)
         raise KeyboardInterrupt(f"interrupted; the same command goes on from {results / 'cells'}") from None
     print(clear, end="", file=sys.stderr)
+    if not cells:
+        raise UserError(f"not one cell to fill, {results} is left as it is: {missing[0]}")
     rows = table1.table_rows(cells)
     print(table_output.text(rows))
     for line in missing:
@@ -208,6 +213,6 @@ def main(argv: list[str] | None = None) -> int:
         print(f"agility-ref: {error.filename}: {error.strerror}", file=sys.stderr)  # cannot be read or written
         return 2
     except KeyboardInterrupt as stopped:
-        print(f"agility-ref: {stopped or 'interrupted'}", file=sys.stderr)
+        print(f"agility-ref: {str(stopped) or 'interrupted'}", file=sys.stderr)
         return 130
     return 0

@@ -63,6 +63,8 @@ class Play:
 def _save(figure, out: Path, argv: list[str]) -> None:
     from agility_ref.plots import save_figure
 
+    if out.suffix not in ("", ".png", ".svg") or not out.name or out.is_dir():
+        raise UserError(f"a figure is written as .png and .svg, not to {str(out)!r}")
     print(", ".join(map(str, save_figure(figure, out, shlex.join(["agility-ref", *argv])))))
 
 

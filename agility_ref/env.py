@@ -128,7 +128,7 @@ class Go1Env:
         self._reach_timer = np.zeros(n, int)
         self._step_count = np.zeros(n, int)
         self._reach_step = np.zeros(n, int)  # step count at the last waypoint
-        self.push_timer = np.zeros(n, int)  # control steps until the next push, which comes with the step that makes it 0
+        self.push_timer = np.zeros(n, int)  # control steps until the next push, 1 before the step that it strikes in
         self._last_action = np.zeros((n, ACTION_DIM))
         self._scandots = np.zeros((n, NUM_SCANDOTS), np.float32)
         self._clock = 0  # control steps since the environment was made

@@ -150,10 +150,10 @@ class Evaluation:
 
     def summary(self) -> dict:
         """Return mean and standard deviation of each metric, JSON-ready."""
-        metrics = {
-            name: dict(zip(("mean", "std"), mean_std(getattr(self, name), name, self.config.protocol), strict=True))
-            for name in METRICS
-        }
+        metrics = {}
+        for name in METRICS:
+            mean, std = mean_std(getattr(self, name), name, self.config.protocol)
+            metrics[name] = {"mean": mean, "std": None if np.isnan(std) else std}  # one episode has none
         return {
             "policy": self.policy,
             "environment": self.environment,

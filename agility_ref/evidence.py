@@ -82,9 +82,9 @@ def read_ablations(path: Path) -> list[dict]:
     """
     if not Path(path).is_file():
         return []
-    with open(path, newline="") as file:
-        rows = list(csv.DictReader(file))
     try:
+        with open(path, newline="") as file:
+            rows = list(csv.DictReader(file))
         return [
             {
                 "ablation": row["ablation"], "policy": row["policy"], "seed": int(row["seed"]),

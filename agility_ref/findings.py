@@ -29,7 +29,11 @@ EARLY = 0.25  # "early" is at this share of the shortest specialist's training a
 
 # The specialists that a generalist replaces.  Without walk, from which all of these start.
 REPLACED = {"gen-3": ("climb", "leap"), "gen-5": ("climb-up", "climb-down", "leap", "beam")}
-OWN = {"gap": "leap", "beam": "beam", "climb": "climb"}  # the specialist of each terrain, and the others there:
+OWN = {
+    "gap": "leap",
+    "beam": "beam",
+    "climb": "climb",
+}  # the specialist of each terrain, and the oracle's other skills:
 FOREIGN = {
     "gap": ("climb-up", "climb-down", "beam", "walk"),
     "beam": ("climb-up", "climb-down", "leap", "walk"),
@@ -115,7 +119,7 @@ def specialists_fail_elsewhere(e: Evidence) -> Finding:
     """Judge what Table 1 shows: on each terrain the specialists of other terrains fall behind its own."""
     return Finding(
         "Specialists fail off their own course.", "Table 1",
-        "Waypoint fraction of the terrain's own specialist minus that of each other one there.",
+        "Waypoint fraction of the terrain's own specialist minus that of each other of the oracle's five skills there.",
         tuple(e.compare((OWN[t], t), (other, t)) for t in OWN for other in FOREIGN[t]),
     )  # fmt: skip
 

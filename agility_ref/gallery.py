@@ -26,10 +26,11 @@ from agility_ref.terrain import (
 from agility_ref.world import height_map
 
 SHOWN = (1.7, 5.7)  # [m] stretch of every course in the gallery
-VIEW = {  # kind: lowest and highest coordinate shown [m]; y for beam, which is seen from above
+VIEW = {  # kind: lowest and highest coordinate shown [m]; y for beam, which is seen from above; others see EVERYTHING
     "walk": (-0.25, 0.55), "climb-up": (-0.2, 1.75), "climb-down": (-1.75, 0.55), "climb": (-0.2, 1.75),
     "gap": (-1.15, 0.55), "beam": (-0.75, 0.75), "climb-gap": (-1.15, 1.15),
 }  # fmt: skip
+EVERYTHING = (-1.75, 1.75)
 DIFFICULTIES = (0.0, 0.3, 0.6, 1.0)
 
 
@@ -40,16 +41,17 @@ def course_gallery(kinds: tuple[str, ...] = COURSE_KINDS, seed: int = 3):
     """Draw every kind at d = 0, 0.3, 0.6, 1, to scale, dimensions in metres; return the figure."""
     width, pad, head = 14.0, 0.50, 0.70  # [inch]
     scale = (width - 1.1) / len(DIFFICULTIES) / (SHOWN[1] - SHOWN[0] + 0.25)  # [inch/m]
-    heights = [(VIEW[kind][1] - VIEW[kind][0]) * scale for kind in kinds]
+    views = [VIEW.get(kind, EVERYTHING) for kind in kinds]
+    heights = [(high - low) * scale for low, high in views]
     with style():
         figure = empty_figure((width, sum(heights) + pad * len(kinds) + head))
         total, upper = figure.get_figheight(), figure.get_figheight() - head
         panel = (SHOWN[1] - SHOWN[0]) * scale
-        for kind, height in zip(kinds, heights, strict=True):
+        for kind, view, height in zip(kinds, views, heights, strict=True):
             for column, d in enumerate(DIFFICULTIES):
                 left = 0.9 + column * (panel + 0.25 * scale)
                 axis = figure.add_axes((left / width, (upper - height) / total, panel / width, height / total))
-                axis.set(xlim=SHOWN, ylim=VIEW[kind])
+                axis.set(xlim=SHOWN, ylim=view)
                 axis.grid(visible=False)
                 axis.tick_params(labelleft=column == 0, labelsize=10)
                 if column == 0:
@@ -77,7 +79,7 @@ def _draw_profile(axis, course: Course) -> None:
     """Side view along the middle of the lane, with one robot for scale."""
     d, kind = course.difficulty, course.kind
     ground = ground_along(course, X, np.zeros_like(X))
-    draw_ground(axis, ground, height_map(course), VIEW[kind][0])
+    draw_ground(axis, ground, height_map(course), VIEW.get(kind, EVERYTHING)[0])
     robot = Robot(course)
     home = robot.model.key_qpos[0].copy()
     home[0], home[2] = 2.05, STAND_HEIGHT

@@ -59,6 +59,8 @@ class ProgressLog:
         from tqdm import tqdm
 
         self.path, self.rows, self.episodes = folder / "progress.csv", rows, deque(maxlen=200)
+        if rows:  # a run that goes on has the averages of before until 200 more episodes have ended
+            self.episodes.extend([self._average_episode(rows[-1])] * 200)
         self.written = 0
         done = int(rows[-1]["steps"]) if rows else 0
         self.bar = tqdm(
@@ -91,6 +93,17 @@ class ProgressLog:
             refresh=False,
         )
         self.bar.update(record["steps"] - self.bar.n)
+
+    @staticmethod
+    def _average_episode(row: dict) -> dict[str, float]:
+        """Return an episode that is as the averages of a row."""
+        length = float(row["episode_length"])
+        return {
+            "reward": float(row["reward"]),
+            "length": length,
+            "waypoints": float(row["waypoint_fraction"]) * NUM_WAYPOINTS,
+            "edge": float(row["edge_violation"]) * length,
+        }
 
     def write(self) -> None:
         """Bring progress.csv up to date: the first call writes it anew, later ones add their rows."""

@@ -41,6 +41,8 @@ def as_published(
     * from a robot's second episode on, the original allows 1001 steps; here 1000;
     * on ``gap`` the original's waypoints stand before each gap, ours behind it;
     * edges across the lane alone, where ours count along both axes (``World(edges="x")``);
+    * observation noise, payloads up to 2 kg and friction of 0.6 to 1.2, where the original's evaluator
+      has no noise, no payload and friction of 0.6 to 2;
     * commanded speeds of 0.3 to 0.8 m/s, motors of differing strength, pushes of all robots in
       the same step, 25 courses shared by 256 robots, all terrains pooled in one number.
 

@@ -139,7 +139,7 @@ def record(
 
 
 def play(policy: Single | Hierarchy, env: Go1Env, environment: str, seed: int) -> list[Episode]:
-    """Play one episode of every robot of ``env``; robot i stays on course i."""
+    """Play one episode of every robot of ``env``; every robot stays on its course."""
     simulation, c = env.simulation, env.config
 
     def before(action: np.ndarray) -> dict[str, np.ndarray]:

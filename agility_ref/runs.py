@@ -11,6 +11,7 @@ Out: the folder, from which :mod:`agility_ref.bank` loads the policy.
 """
 
 import json
+import math
 import shutil
 import time
 from dataclasses import asdict, replace
@@ -100,6 +101,9 @@ def check_settings(spec: PolicySpec, config: TrainConfig) -> None:
     ------
     UserError : names the flag, what was given and the least that is allowed
     """
+    for what, given in as_flags(asdict(config)).items():
+        if isinstance(given, float) and not math.isfinite(given):
+            raise UserError(f"{what} must be a finite number, got {given}")
     for what, given, least in (
         ("seed", config.seed, 0),
         ("steps", config.steps, 0),
@@ -107,7 +111,20 @@ def check_settings(spec: PolicySpec, config: TrainConfig) -> None:
         ("ppo.num-steps", config.ppo.num_steps, 1),
         ("ppo.update-epochs", config.ppo.update_epochs, 1),
         ("ppo.num-minibatches", config.ppo.num_minibatches, 1),
+        ("ppo.hidden", min(config.ppo.hidden, default=1), 1),
+        ("ppo.gamma", config.ppo.gamma, 0),
+        ("ppo.gae-lambda", config.ppo.gae_lambda, 0),
+        ("ppo.ent-coef", config.ppo.ent_coef, 0),
+        ("ppo.learning-rate-min", config.ppo.learning_rate_min, 0),
+        ("ppo.learning-rate-max", config.ppo.learning_rate_max, config.ppo.learning_rate_min),
+        ("ppo.critic-learning-rate", config.ppo.critic_learning_rate, 0),
+        ("ppo.anneal-share", config.ppo.anneal_share, 0),
         ("env.physics.substeps", config.env.physics.substeps, 1),
+        ("env.physics.iterations", config.env.physics.iterations, 1),
+        ("env.noise", config.env.noise, 0),
+        ("env.gait-clock", config.env.gait_clock, 0),
+        ("env.stall-seconds", config.env.stall_seconds, 0),
+        ("env.turned-start-share", config.env.turned_start_share, 0),
         ("env.action-repeat", config.env.action_repeat, 1),
         ("env.scandot-period", config.env.scandot_period, 1),
         ("env.push-interval", config.env.push_interval, 0),
@@ -132,16 +149,35 @@ def check_settings(spec: PolicySpec, config: TrainConfig) -> None:
             raise UserError(f"{what} must be at least {least}, got {given}")
     for what, given in (
         ("ppo.init-std", config.ppo.init_std),
+        ("ppo.learning-rate", config.ppo.learning_rate),
+        ("ppo.clip-coef", config.ppo.clip_coef),
+        ("ppo.target-kl", config.ppo.target_kl),
+        ("ppo.max-grad-norm", config.ppo.max_grad_norm),
         ("ppo.final-std", config.ppo.final_std),
         ("warm-std", config.warm_std),
         ("fine-tune.std", config.fine_tune.std),
         ("env.physics.timestep", config.env.physics.timestep),
+        ("env.physics.kp", config.env.physics.kp),
+        ("env.action-scale", config.env.action_scale),
+        ("env.action-limit", config.env.action_limit),
+        ("env.waypoint-radius", config.env.waypoint_radius),
+        ("env.max-tilt", config.env.max_tilt),
         ("env.command-low", config.env.command_low),
         ("env.friction-low", config.env.friction_low),
         ("env.episode-seconds", config.env.episode_seconds),
     ):
         if not given > 0:
             raise UserError(f"{what} must be above 0, got {given}")
+    for what, given, most in (
+        ("seed", config.seed, 2**63 - 1),  # torch counts no further
+        ("ppo.gamma", config.ppo.gamma, 1),
+        ("ppo.gae-lambda", config.ppo.gae_lambda, 1),
+        ("ppo.anneal-share", config.ppo.anneal_share, 1),
+        ("ppo.num-minibatches", config.ppo.num_minibatches, config.ppo.batch_size),
+        ("env.turned-start-share", config.env.turned_start_share, 1),
+    ):
+        if not given <= most:
+            raise UserError(f"{what} must be at most {most}, got {given}")
 
 
 def _write_config(spec: PolicySpec, config: TrainConfig, folder: Path) -> None:
@@ -149,7 +185,7 @@ def _write_config(spec: PolicySpec, config: TrainConfig, folder: Path) -> None:
 
 
 def make_env(spec: PolicySpec, config: TrainConfig) -> tuple[Go1Env, Curriculum]:
-    """Build the training courses and the robots on them; seeds never meet those of evaluation."""
+    """Build the training courses and the robots on them; the seeds of courses never meet those of evaluation."""
     top = find_preset(config.preset).max_difficulty
     world = training_world(spec.courses, config.curriculum, top, config.seed)
     curriculum = Curriculum(len(spec.courses), config.ppo.num_envs, config.curriculum, config.seed)
@@ -188,7 +224,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     bank = digests(skills)
     if selector:
         env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward, config.selector, config.ppo.gamma)
-    rows = _resume_or_warm_start(spec, config, folder, learner, curriculum)
+    rows = _resume_or_warm_start(spec, config, folder, learner, curriculum, bank)
     if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
     _write_config(spec, config, folder)
@@ -230,7 +266,12 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
 
 
 def _resume_or_warm_start(
-    spec: PolicySpec, config: TrainConfig, folder: Path, learner: "Learner", curriculum: Curriculum
+    spec: PolicySpec,
+    config: TrainConfig,
+    folder: Path,
+    learner: "Learner",
+    curriculum: Curriculum,
+    bank: dict[str, str],
 ) -> list[dict]:
     """Load the folder's checkpoint, or the warm start; return the progress so far."""
     saved = folder / "policy.npz"
@@ -243,6 +284,9 @@ def _resume_or_warm_start(
                 raise UserError(
                     f"{folder} was started with {key} {began[key]}, not {ours}; give that, or another --out"
                 )
+        for other, digest in meta.get("skills", {}).items():
+            if bank.get(other, digest) != digest:
+                raise UserError(f"{folder} was started over another {other}; give its folder, or another --out")
         if not {"curriculum.level", "normalizer.count"} <= arrays.keys():
             raise UserError(f"{saved} can act but not be trained further: it lacks the state of a training run")
         learner.load_arrays(arrays)

@@ -102,4 +102,5 @@ def wilson_interval(successes: float, trials: int, z: float = 1.96) -> tuple[flo
     p, n = successes / trials, trials
     centre = p + z**2 / (2 * n)
     half = z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    return float((centre - half) / (1 + z**2 / n)), float((centre + half) / (1 + z**2 / n))
+    low, high = (centre - half) / (1 + z**2 / n), (centre + half) / (1 + z**2 / n)
+    return max(float(low), 0.0), min(float(high), 1.0)  # rounding alone would pass either end

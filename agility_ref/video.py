@@ -5,6 +5,7 @@ Call :func:`agility_ref.graphics.choose_gl` before anything imports mujoco.
 In:  an :class:`~agility_ref.record.Episode`.  Out: a file.
 """
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
@@ -66,12 +67,12 @@ def frames(episode: Episode, config: VideoConfig = VideoConfig()) -> Iterator[np
 
     Raises
     ------
-    UserError : a rate, speed or length that leaves nothing to film
+    UserError : a size, rate, speed or length that leaves nothing to film
     """
-    for what in ("fps", "speed", "seconds"):
+    for what in ("width", "height", "fps", "speed", "seconds"):
         if not getattr(config, what) > 0:
             raise UserError(f"{what} must be above 0, got {getattr(config, what)}")
-    if config.start < 0:
+    if not config.start >= 0:
         raise UserError(f"start must be at least 0, got {config.start}")
     model = make_scene(episode.course)
     data = mujoco.MjData(model)
@@ -122,18 +123,29 @@ def write_video(images: Iterator[np.ndarray], out: Path, config: VideoConfig, co
 
     Raises
     ------
-    UserError : another suffix, no image, or .mp4 without imageio-ffmpeg
+    UserError : another suffix or quality, no image, or .mp4 without imageio-ffmpeg
     """
     out = Path(out)
+    if not 1 <= config.quality <= 100:
+        raise UserError(f"quality must be between 1 and 100, got {config.quality}")
     if out.suffix not in (".webp", ".gif", ".mp4"):
         raise UserError(f"a video ends in .webp, .gif or .mp4, not {out.suffix or out.name!r}")
     first = next(images, None)
     if first is None:
         raise UserError("nothing to film: --start lies behind the end of the episode")
     out.parent.mkdir(parents=True, exist_ok=True)
-    images = chain([first], images)
-    if out.suffix == ".mp4":
-        return _write_mp4(images, out, first.shape, config, command)
+    partial = out.with_name(f"partial-{out.name}")  # a film that is there stays whole until this one is
+    try:
+        write = _write_mp4 if out.suffix == ".mp4" else _write_pictures
+        count = write(chain([first], images), partial, config, command)
+        os.replace(partial, out)
+    finally:
+        partial.unlink(missing_ok=True)
+    return count
+
+
+def _write_pictures(images: Iterator[np.ndarray], out: Path, config: VideoConfig, command: str) -> int:
+    """Encode images as .webp or .gif; return their number."""
     from PIL import Image
 
     pictures = [Image.fromarray(image) for image in images]
@@ -150,22 +162,21 @@ def write_video(images: Iterator[np.ndarray], out: Path, config: VideoConfig, co
     return len(pictures)
 
 
-def _write_mp4(
-    images: Iterator[np.ndarray], out: Path, shape: tuple[int, ...], config: VideoConfig, command: str
-) -> int:
+def _write_mp4(images: Iterator[np.ndarray], out: Path, config: VideoConfig, command: str) -> int:
     """Pipe images of one shape into ffmpeg (H.264, which every browser plays); return their number."""
     try:
         import imageio_ffmpeg
     except ImportError:
         raise UserError("MP4 needs one more package: pip install imageio-ffmpeg; .webp and .gif need none") from None
-    height, width = shape[0] // 2 * 2, shape[1] // 2 * 2  # its colours are stored for squares of 2 x 2 pixels
+    first = next(images)
+    height, width = (side // 2 * 2 for side in first.shape[:2])  # its colours are stored for squares of 2 x 2 pixels
     writer = imageio_ffmpeg.write_frames(
         str(out), (width, height), fps=config.fps, quality=config.quality / 10, macro_block_size=2,
         output_params=["-metadata", f"comment={command}; {made_with()}", "-movflags", "+faststart"],
     )  # fmt: skip
     writer.send(None)
     count = 0
-    for image in images:
+    for image in chain([first], images):
         writer.send(np.ascontiguousarray(image[:height, :width]))
         count += 1
     writer.close()

@@ -125,8 +125,10 @@ def open_server(port: int):
 
     Raises
     ------
-    UserError : viser is not installed
+    UserError : no such port, or viser is not installed
     """
+    if not 1 <= port <= 65535:
+        raise UserError(f"port must be between 1 and 65535, got {port}")
     try:
         import viser
     except ImportError:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -71,3 +73,10 @@ def test_a_selector_over_other_skills_is_refused(config, tmp_path, finished_run)
 def test_default_root_follows_the_preset():
     assert TrainConfig(preset="quick").root.as_posix() == "runs/quick"
     assert TrainConfig(out="elsewhere").root.as_posix() == "elsewhere"
+
+
+def test_a_run_of_another_preset_is_refused(config, tmp_path, finished_run):
+    folder = finished_run(tmp_path, "walk", preset="quick")
+    (folder / "config.json").write_text('{"preset": "quick"}')
+    with pytest.raises(UserError, match="was trained under the preset quick, not full"):
+        load_policy("walk", replace(config, preset="full"))

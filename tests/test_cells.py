@@ -155,6 +155,11 @@ def test_steps_spent_by_hand(bank, policy, expected):
     assert steps_spent(policy, bank) == expected
 
 
+def test_a_post_generalist_from_scratch_owes_nothing_to_teachers(bank, tmp_path, finished_run):
+    finished_run(tmp_path / "runs", "post-gen", steps=123, start=0)
+    assert steps_spent("post-gen", bank) == 123
+
+
 def test_a_skill_from_scratch_has_no_warm_start_to_share(bank, tmp_path, finished_run):
     finished_run(tmp_path / "runs", "beam", steps=180, start=0)
     assert steps_spent("oracle", bank) == 750  # 100 + 150 + 120 + 200 + 180

@@ -127,3 +127,18 @@ def test_state_round_trip():
     a.level[:] = 0
     b.load_state(state)
     np.testing.assert_array_equal(b.level, [0, 1, 2, 3, 2, 1])
+
+
+@pytest.mark.parametrize("fraction, level", [(0.75, 3), (0.74, 2), (0.4, 2), (0.39, 1), (1.0, 4)])
+def test_thresholds_count_as_reached(fraction, level):
+    curriculum = Curriculum(1, 1, replace(PLAIN, num_levels=10), seed=0)
+    curriculum.level[:] = curriculum.played[:] = 2
+    played(curriculum, [0], [fraction])
+    assert curriculum.level[0] == level
+
+
+def test_half_of_the_episodes_at_the_top_are_on_a_level_drawn_from_all():
+    curriculum = Curriculum(1, 2000, replace(PLAIN, num_levels=10), seed=0)
+    curriculum.level[:] = curriculum.played[:] = 9
+    played(curriculum, np.arange(2000), np.full(2000, 0.5))
+    assert np.mean(curriculum.played == 9) == pytest.approx(0.55, abs=0.04)  # 1/2, and 1/10 of the rest

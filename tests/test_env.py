@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agility_ref.env import ACTION_DIM, Go1Env
-from agility_ref.go1 import STAND_HEIGHT
+from agility_ref.go1 import DEFAULT_DOF_POS, STAND_HEIGHT
 from agility_ref.observation import (
     NUM_SCANDOTS,
     OBS_DIM,
@@ -16,6 +16,7 @@ from agility_ref.observation import (
     rotation,
     wrap,
 )
+from agility_ref.rewards import compute_reward
 from agility_ref.task import TRAINING, EnvConfig
 from agility_ref.terrain import CELL, COURSE_KINDS, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, make_course
 from agility_ref.world import World
@@ -704,3 +705,133 @@ def test_oracle_names_the_skill_under_the_robot(kind, skill):
     assert SKILLS[env.oracle_skill()[0]] == skill
     env._qpos[:, 0] = 1.0
     assert SKILLS[env.oracle_skill()[0]] == "walk"
+
+
+# --- what the rewards are given ---------------------------------------------------------------
+
+
+@pytest.fixture
+def states(monkeypatch):
+    """List of the StepStates that compute_reward is called with."""
+    seen = []
+
+    def spy(state, weights):
+        seen.append(state)
+        return compute_reward(state, weights)
+
+    monkeypatch.setattr("agility_ref.env.compute_reward", spy)
+    return seen
+
+
+def test_rewards_are_given_the_motion_of_the_trunk(states):
+    env = make_env("climb-up")
+    for action in random_actions(5, 4, scale=0.3):
+        joints_before = env.simulation.qvel[:, 6:].copy()
+        env.step(action)
+    (s, q, v) = states[-1], env.simulation.qpos, env.simulation.qvel
+    np.testing.assert_allclose(s.last_dof_vel, joints_before)
+    np.testing.assert_allclose(s.dof_vel, v[:, 6:])
+    np.testing.assert_allclose(s.base_ang_vel, v[:, 3:6])
+    for n in range(4):
+        to_goal = env.world.waypoints[env.course[n], 0] - q[n, :2]  # none is reached yet
+        assert s.goal_velocity[n] == pytest.approx(v[n, :2] @ to_goal / np.linalg.norm(to_goal))
+        assert s.speed[n] == pytest.approx(np.linalg.norm(v[n, :2]))
+        w, x, y, z = q[n, 3:7]
+        yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        assert s.heading_error[n] == pytest.approx(np.arctan2(to_goal[1], to_goal[0]) - yaw, abs=1e-6)
+
+
+def test_rewards_are_given_the_forces_of_a_robot_at_rest(states):
+    """Four feet carry the weight and rest on the ground; the motors' springs carry the rest."""
+    env = make_env("gap")
+    for _ in range(200):  # the trunk bobs for three seconds
+        env.step(still(env))
+    s, model = states[-1], env.simulation.models[0]
+    weight = model.body_mass.sum() * 9.81
+    np.testing.assert_allclose(s.foot_force[:, :, 2].sum(axis=1), weight, rtol=0.02)
+    assert (np.abs(s.foot_force[:, :, :2]) < s.foot_force[:, :, 2:]).all()
+    assert s.foot_contact.all() and not s.body_contact.any()
+    np.testing.assert_allclose(s.foot_clearance, 0.0, atol=0.005)
+    assert (s.foot_speed < 0.02).all()
+    # PD control at rest: tau = kp (q_target - q)
+    np.testing.assert_allclose(s.torque, env.config.physics.kp * (DEFAULT_DOF_POS - s.dof_pos), atol=0.02)
+
+
+def test_rewards_are_given_moving_feet_in_the_air_and_a_trunk_on_the_ground(states):
+    env = make_env("gap", n=2)
+    stand(env, [0], 1.0, 0.0, z=0.3)  # falls freely, 0.3 m up
+    env._qvel[0, 0] = 1.5
+    stand(env, [1], 1.0, 0.0)
+    env._qpos[1, 2] = 0.05  # the trunk's underside touches
+    env.step(still(env))
+    s = states[-1]
+    assert not s.foot_contact[0].any() and s.body_contact[1].any() and not s.body_contact[0].any()
+    np.testing.assert_allclose(s.foot_clearance[0], 0.3, atol=0.02)
+    np.testing.assert_allclose(s.foot_speed[0], 1.5, atol=0.05)
+
+
+# --- starts, conditions and pushes ----------------------------------------------------------
+
+
+def test_a_push_replaces_the_horizontal_velocity():
+    env = make_env(n=2, config=replace(CLEAN, push_interval=0.1, push_velocity=0.5))
+    env.push_timer[:] = 1, 2
+    stand(env, [0, 1], 1.0, 0.0, z=1.0)  # in free flight nothing else changes it
+    env._qvel[:, 0] = 2.0
+    env.step(still(env))
+    pushed, flying = env._qvel[:, :2]
+    assert (np.abs(pushed) <= 0.51).all() and flying[0] == pytest.approx(2.0, abs=0.05)
+    assert env.push_timer.tolist() == [5, 1]
+
+
+def test_first_pushes_are_spread_over_the_interval():
+    env = make_env(n=200, config=EnvConfig())
+    assert env.push_timer.min() >= 1 and env.push_timer.max() <= 300
+    assert env.push_timer.min() < 30 and env.push_timer.max() > 270
+
+
+def test_starts_are_perturbed():
+    env = make_env(n=50)
+    x, y = env.base_pos[:, :2].T
+    joints = env.simulation.qpos[:, 7:] - DEFAULT_DOF_POS
+    for values in (x - 1.0, y, env.yaw, *joints.T):
+        assert np.abs(values).max() <= 0.1 + 1e-9 and values.std() > 0.03  # uniform: 0.058
+
+
+def test_every_course_has_its_own_friction_and_payload():
+    courses = [make_course("gap", 0.5, 0)] * 40
+    env = Go1Env(World(courses), 1, EnvConfig(friction_low=0.5, friction_high=1.0, payload_high=2.0))
+    mass = np.array([m.body("trunk").mass[0] for m in env.simulation.models])
+    friction = np.array([m.geom_friction[m.geom_bodyid == 0, 0].max() for m in env.simulation.models])
+    assert 0.0 <= np.ptp(mass) <= 2.0 and np.ptp(mass) > 1.5
+    assert (friction >= 0.5).all() and (friction <= 1.0).all() and np.ptp(friction) > 0.35
+
+
+def test_a_held_action_takes_its_time():
+    """One step of two is two steps of one, without noise and pushes."""
+    once, twice = make_env(config=replace(CLEAN, action_repeat=2)), make_env()
+    action = random_actions(1, 4, scale=0.3)[0]
+    once.step(action)
+    twice.step(action)
+    twice.step(action)
+    np.testing.assert_allclose(once.simulation.qpos, twice.simulation.qpos, atol=1e-9)
+
+
+def test_heading_errors_point_to_this_waypoint_and_the_next():
+    env = make_env("beam", n=2)
+    stand(env, [0, 1], 1.0, 0.5)
+    env.step(still(env))
+    for n in range(2):
+        this, following = env.world.waypoints[env.course[n], :2] - env.base_pos[n, :2]
+        expected = [np.arctan2(v[1], v[0]) - env.yaw[n] for v in (this, following)]
+        np.testing.assert_allclose(env.heading_error[n], expected, atol=1e-6)
+
+
+def test_the_last_waypoint_and_a_fall_at_once_is_a_finish():
+    env = make_env(n=1)
+    env.waypoint_index[:], env._reach_timer[:] = NUM_WAYPOINTS - 1, 4
+    x, y = env.world.waypoints[0, -1]
+    stand(env, [0], x, y, z=env.world.ground(0, np.array([x, y])))
+    env._qpos[0, 3:7] = np.cos(0.8), np.sin(0.8), 0.0, 0.0  # rolled by 1.6 rad: fallen
+    _, _, terminated, truncated, info = env.step(still(env))
+    assert info["episode"]["waypoints"][0] == NUM_WAYPOINTS and truncated[0] and not terminated[0]

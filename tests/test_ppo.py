@@ -1,3 +1,4 @@
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -507,3 +508,73 @@ def test_mirrored_samples_keep_their_probabilities():
     # The left front thigh (entry 4) does what the right one (entry 1) did, the hip (0, 3) the opposite.
     assert torch.equal(rollout.actions[:, 1::2, 4], actions[:, 1::2, 1])
     assert torch.equal(rollout.actions[:, 1::2, 3], -actions[:, 1::2, 0])
+
+
+# --- the whole update ---------------------------------------------------------------------
+
+
+def test_an_update_equals_one_written_in_a_piece():
+    """The same minibatches through torch.distributions, autograd and two plain Adams."""
+    config = replace(TINY, ent_coef=0.1, max_grad_norm=0.05, target_kl=1e-4, learning_rate=2e-3)
+    learner = make(seed=3, config=config, act_dim=2)
+    learner.anneal = 0.5
+    env = FakeEnv(config.num_envs)
+    rollout, _ = collect(env, learner, env.reset(0)[0])
+    net, generator = deepcopy(learner.net), torch.Generator()
+    generator.set_state(learner.generator.get_state())
+
+    advantages = gae(
+        rollout.rewards, rollout.values, rollout.next_values, rollout.terminated, rollout.truncated, 0.99, 0.95
+    )
+    returns = torch.from_numpy(advantages + rollout.values).reshape(-1)
+    advantages = torch.from_numpy((advantages - advantages.mean()) / advantages.std()).reshape(-1)
+    obs, actions = rollout.obs.reshape(-1, 2), rollout.actions.reshape(-1, 2)
+    mean, log_std = (p.reshape(-1, 2) for p in rollout.parameters)
+    old = torch.distributions.Normal(mean, log_std.exp())
+    actor = [*net.actor.parameters(), net.log_std]
+    critic = list(net.critic.parameters())
+    adam, critic_adam = torch.optim.Adam(actor), torch.optim.Adam(critic, 2e-3)  # the critic keeps the first rate
+    rate, clipped = 2e-3, []
+
+    def descend(optimizer, parameters, loss):
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(parameters, 0.05)
+        optimizer.step()
+
+    order = torch.randperm(len(obs), generator=generator).chunk(2)
+    for i in (*order, *order):  # two epochs
+        new = torch.distributions.Normal(net.actor(obs[i]), net.log_std.exp())
+        old_i = torch.distributions.Normal(old.mean[i], old.stddev[i])
+        kl = torch.distributions.kl_divergence(old_i, new).sum(-1).mean().item()
+        rate = rate / 1.5 if kl > 1e-4 else rate * 1.5 if kl < 0.25e-4 else rate  # half of 2e-4, half of 0.5e-4
+        rate = min(max(rate, 0.5 * 1.5e-4), 3e-3)
+        ratio = (new.log_prob(actions[i]) - old_i.log_prob(actions[i])).sum(-1).exp()
+        clipped.append(((ratio < 0.8) | (ratio > 1.2)).float().mean().item())
+        gain = torch.minimum(ratio * advantages[i], ratio.clamp(0.8, 1.2) * advantages[i]).mean()
+        adam.param_groups[0]["lr"] = rate
+        descend(adam, actor, -gain - 0.1 * new.entropy().sum(-1).mean())
+        descend(critic_adam, critic, ((net.value(obs[i]) - returns[i]) ** 2).mean() / 2)
+
+    losses = update(learner, rollout)
+    assert learner.learning_rate == pytest.approx(rate) and rate != pytest.approx(2e-3)
+    assert losses["clip_fraction"] == pytest.approx(np.mean(clipped))
+    for (name, ours), theirs in zip(learner.net.named_parameters(), net.parameters(), strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-6, msg=name)
+
+
+def test_a_critic_with_a_rate_of_its_own():
+    learner = make(config=replace(TINY, critic_learning_rate=7e-4))
+    env = FakeEnv()
+    update(learner, collect(env, learner, env.reset(0)[0])[0])
+    assert learner.critic_optimizer.param_groups[0]["lr"] == 7e-4
+    assert learner.actor_optimizer.param_groups[0]["lr"] == learner.learning_rate
+
+
+def test_mirror_is_part_of_the_update(monkeypatch):
+    seen = []
+    monkeypatch.setattr("agility_ref.ppo.mirror_alternate", lambda learner, rollout: seen.append(rollout))
+    for mirror in (False, True):
+        learner, env = make(config=replace(TINY, mirror=mirror)), FakeEnv()
+        update(learner, collect(env, learner, env.reset(0)[0])[0])
+    assert len(seen) == 1

@@ -17,7 +17,7 @@ from agility_ref.go1 import PhysicsConfig
 from agility_ref.learner import Learner
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.policies import PPOConfig, find_policy
-from agility_ref.progress import PROGRESS, read_rows
+from agility_ref.progress import PROGRESS, ProgressLog, read_rows
 from agility_ref.rewards import RewardConfig
 from agility_ref.runs import train_policy
 from agility_ref.selector import Hierarchy, SelectorConfig, Single, SupervisedConfig
@@ -226,7 +226,14 @@ def test_a_learner_refuses_the_arrays_of_another_network():
     ({"env": EnvConfig(command_low=1.0, command_high=0.5)}, "env.command-high must be at least 1.0, got 0.5"),
     ({"env": EnvConfig(command_low=0.0)}, "env.command-low must be above 0, got 0"),
     ({"ppo": replace(TINY, init_std=0.0)}, "ppo.init-std must be above 0, got 0"),
-    ({"warm_std": float("nan")}, "warm-std must be above 0, got nan"),
+    ({"warm_std": float("nan")}, "warm-std must be a finite number, got nan"),
+    ({"ppo": replace(TINY, ent_coef=float("inf"))}, "ppo.ent-coef must be a finite number, got inf"),
+    ({"ppo": replace(TINY, gamma=2.0)}, "ppo.gamma must be at most 1, got 2"),
+    ({"ppo": replace(TINY, hidden=(8, 0))}, "ppo.hidden must be at least 1, got 0"),
+    ({"ppo": replace(TINY, learning_rate=-1.0)}, "ppo.learning-rate must be above 0, got -1"),
+    ({"env": EnvConfig(stall_seconds=-1.0)}, "env.stall-seconds must be at least 0, got -1"),
+    ({"env": EnvConfig(turned_start_share=2.0)}, "env.turned-start-share must be at most 1, got 2"),
+    ({"seed": 2**64}, "seed must be at most"),
 ])  # fmt: skip
 def test_numbers_that_no_run_can_be_made_with(config, change, complaint):
     with pytest.raises(UserError, match=re.escape(complaint)):
@@ -422,6 +429,16 @@ def test_a_held_selector_run_counts_control_steps(config, tmp_path, finished_run
         train_policy("ps-rl-3-env", replace(config, selector=SelectorConfig(decision_steps=2)), quiet=True)
 
 
+def test_a_selector_does_not_go_on_over_another_skill(config, tmp_path, finished_run):
+    for skill in ("walk", "climb", "leap"):
+        finished_run(tmp_path, skill)
+    folder = train_policy("ps-rl-3-env", config, quiet=True)
+    (folder / "DONE").unlink()
+    finished_run(tmp_path, "leap", gain=50.0)
+    with pytest.raises(UserError, match="was started over another leap"):
+        train_policy("ps-rl-3-env", replace(config, steps=1000), quiet=True)
+
+
 def test_the_discount_of_a_decision_is_that_of_its_steps(config, tmp_path, finished_run, monkeypatch):
     for skill in ("walk", "climb", "leap"):
         finished_run(tmp_path, skill)
@@ -544,3 +561,17 @@ def test_a_post_generalist_goes_on_from_the_distilled_policy(config, tmp_path, f
 def test_bad_distillation_is_refused(config, bad, message):
     with pytest.raises(UserError, match=message):
         train_policy("post-gen", replace(config, **bad), quiet=True)
+
+
+def test_averages_go_on_where_they_were(tmp_path):
+    """10 new episodes among 190 like the last row's."""
+    row = {"steps": "64", "reward": "2", "episode_length": "100", "waypoint_fraction": "0.5", "edge_violation": "0.25"}
+    log = ProgressLog("walk", tmp_path, [row], 1000, quiet=True)
+    episode = {"reward": 0.0, "length": 50, "waypoints": 8, "edge": 0.0}
+    record = dict.fromkeys(PROGRESS, 0.0) | {"steps": 96, "episodes": [episode] * 10}
+    log.add(record, 0.0, 0.0, {})
+    figures = {key: float(value) for key, value in log.rows[-1].items()}
+    assert figures["reward"] == pytest.approx(1.9)  # (190 2 + 10 0) / 200
+    assert figures["episode_length"] == pytest.approx(97.5)  # (190 100 + 10 50) / 200
+    assert figures["waypoint_fraction"] == pytest.approx(0.525)  # (190 4 + 10 8) / 200 / 8
+    assert figures["edge_violation"] == pytest.approx(23.75 / 97.5, rel=1e-5)  # 25 feet an episode, 190 of 200

@@ -164,3 +164,26 @@ def test_paired_difference_changes_sign_with_its_arguments():
 ])  # fmt: skip
 def test_wilson_reference_values(successes, trials, low, high):
     assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=1e-4)
+
+
+def test_wilson_never_leaves_0_to_1():
+    for n in range(1, 300):
+        assert 0.0 <= wilson_interval(0, n)[0] < 1e-12 and 1.0 - 1e-12 < wilson_interval(n, n)[1] <= 1.0
+
+
+@pytest.mark.parametrize("n", range(2, 13))  # as many as the table has
+def test_student_quantiles_against_the_density(n):
+    """The density (1 + x^2 / f)^(-(f + 1) / 2), summed up to the half width over s / sqrt(n), holds 95 %."""
+    values = np.arange(n, dtype=float)
+    low, high = t_interval(values)
+    t = (high - low) / 2 / (values.std(ddof=1) / np.sqrt(n))
+    x = np.tan((np.arange(200_000) + 0.5) / 200_000 * np.pi / 2)  # dx = (1 + x^2) du: the tail is finite
+    weight = (1 + x**2 / (n - 1)) ** (-n / 2) * (1 + x**2)
+    assert weight[x <= t].sum() / weight.sum() == pytest.approx(0.95, abs=2e-4)
+
+
+def test_paired_difference_is_of_means():
+    """One episode in ten is better by 1: the middle half, on which an IQM stands, is not."""
+    a = np.tile([1.0] + [0.0] * 9, 10)
+    mean, low, high = paired_difference(a, np.zeros(100))
+    assert mean == pytest.approx(0.1) and 0.03 < low < 0.1 < high < 0.2

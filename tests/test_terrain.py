@@ -357,3 +357,40 @@ def test_scan_map_is_the_mean_of_a_patch():
     assert scan[14, 8] == pytest.approx(0.07)
     assert scan[14, 9] == scan[14, 1] == 0.0
     np.testing.assert_allclose(scan_map(np.full((20, 12), 0.3, np.float32)), 0.3, rtol=1e-6)
+
+
+# --- heights, along the lane ----------------------------------------------------------------
+
+
+def heights_along(kind, d):
+    """Heights [m] of the surfaces that a robot meets on y = 0, in order."""
+    heights = height_map(make_course(kind, d, 5))[:, GRID_SHAPE[1] // 2]
+    return heights[np.flatnonzero(np.diff(heights, prepend=np.nan) != 0)].round(3).tolist()
+
+
+@pytest.mark.parametrize("kind, levels", [
+    ("climb-up", [0, 1, 2, 3, 4, 5, 6]),
+    ("climb-down", [0, -1, -2, -3, -4, -5, -6]),
+    ("climb", [0, 1, 2, 3, 2, 1, 0]),  # the third tread is followed by another of its height
+])  # fmt: skip
+def test_steps_rise_and_fall_by_the_step_height(kind, levels):
+    h = terrain.step_height(1.0)
+    assert heights_along(kind, 1.0) == pytest.approx([level * h for level in levels], abs=1e-3)
+
+
+def test_climb_gap_goes_up_over_down_up_over_down_over():
+    """ugudgd: a pit's floor lies pit_depth below the start platform, however high its banks."""
+    h, pit = terrain.step_height(1.0), -terrain.pit_depth(1.0)
+    assert heights_along("climb-gap", 1.0) == pytest.approx([0, h, pit, h, 2 * h, h, pit, h, 0], abs=1e-3)
+
+
+def test_obstacles_of_gaps_span_them():
+    course = make_course("gap", 0.5, 0)
+    assert [o.x1 - o.x0 for o in course.obstacles] == pytest.approx([terrain.gap_width(0.5)] * 6)
+
+
+def test_treads_hold_a_robot_behind_the_step():
+    """0.5 m and the step height at least, where the robot pitches up."""
+    for seed in range(20):
+        xs = [o.x0 for o in make_course("climb-up", 1.0, seed).obstacles]
+        assert np.diff(xs).min() >= 0.5 + terrain.step_height(1.0) - 0.02

@@ -373,3 +373,34 @@ async def screenshots(websockets, port: int, waits: tuple[float, ...]) -> list[n
             png = base64.b64decode(message["result"]["data"])
             images.append(np.asarray(Image.open(io.BytesIO(png)).convert("RGB")))
     return images
+
+
+@pytest.mark.parametrize("quality", [0, 101, -5])
+def test_a_bad_quality_leaves_the_film_that_is_there(tmp_path, quality):
+    from agility_ref.video import VideoConfig, write_video
+
+    (tmp_path / "x.webp").write_bytes(b"a film")
+    with pytest.raises(UserError, match="quality must be between 1 and 100"):
+        write_video(iter([np.zeros((4, 4, 3), np.uint8)]), tmp_path / "x.webp", VideoConfig(quality=quality), "c")
+    assert (tmp_path / "x.webp").read_bytes() == b"a film"
+
+
+def test_a_film_that_fails_half_way_leaves_the_one_that_is_there(tmp_path):
+    from agility_ref.video import VideoConfig, write_video
+
+    def images():
+        yield np.zeros((4, 4, 3), np.uint8)
+        raise ZeroDivisionError
+
+    (tmp_path / "x.webp").write_bytes(b"a film")
+    with pytest.raises(ZeroDivisionError):
+        write_video(images(), tmp_path / "x.webp", VideoConfig(), "c")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("x.webp", b"a film")]
+
+
+@pytest.mark.parametrize("port", [0, -1, 99999])
+def test_no_such_port(port):
+    from agility_ref import viewer
+
+    with pytest.raises(UserError, match="port must be between 1 and 65535"):
+        viewer.open_server(port)

@@ -6,7 +6,7 @@
 # may go (1 line of torch).  After them a Go1 learns to walk on your machine.
 #
 # Run it with `python tutorials/03_ppo.py`.  Everything up to 3.4 takes seconds.  Training takes
-# minutes, and the script prints how many it took; it is saved in `runs/quick/walk/seed0`
+# minutes, and the script prints how many it took; it is saved in `runs/tutorial/walk/seed0`
 # of the directory you start from.  Stop it with Ctrl-C when you like: the next start goes
 # on from there, and a finished run is not trained again.
 
@@ -189,10 +189,12 @@ save(figure, "03_clipped_objective.png")
 # One iteration is: play `num_steps` steps with `num_envs` robots, compute the advantages, pass over
 # the batch `update_epochs` times in `num_minibatches` pieces.  `train_policy` repeats that until the
 # budget of the policy table is spent.  The same run from the command line is
-# `agility-ref train walk --preset quick`.
+# `agility-ref train walk --preset quick --out runs/tutorial`.
 
 # %%
-config = TrainConfig(preset="quick", seed=0, out="runs/quick")
+config = TrainConfig(
+    preset="quick", seed=0, out="runs/tutorial"
+)  # not runs/quick, where the shipped selectors would find another walk than theirs
 ppo = config.ppo
 print(
     f"one iteration: {ppo.num_envs} robots x {ppo.num_steps} steps = {ppo.batch_size} steps, "

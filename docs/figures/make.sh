@@ -6,7 +6,7 @@ set -e
 agility-ref plot courses --out docs/figures/courses.png
 agility-ref plot framework --out docs/figures/framework.png
 agility-ref plot skills --difficulty 0.5 --out docs/figures/skills.png
-agility-ref plot strobe oracle --environment climb-gap --difficulty 0.3 --course 2 --out docs/figures/strobe.png
+agility-ref plot strobe oracle --environment climb-gap --difficulty 0.5 --course 2 --out docs/figures/strobe.png
 agility-ref plot strobe distilled --environment climb-gap --difficulty 0.4 --course 2 --out docs/figures/strobe-distilled.png
 agility-ref plot strobe gen-5 --environment beam --difficulty 0.5 --out docs/figures/strobe-beam.png
 agility-ref plot oracle-map oracle --environment climb-gap --out docs/figures/oracle-map.png
