@@ -97,11 +97,13 @@ def find_weights(policy: str, config: TrainConfig) -> Path | None:
     """
     find_preset(config.preset)
     own = run_folder(config.root, policy, config.seed)
+    if not (own / "DONE").exists():
+        return weights.shipped(config.preset, policy, config.seed)
     settings = own / "config.json"
     trained = json.loads(settings.read_text()).get("preset") if settings.exists() else config.preset
-    if (own / "DONE").exists() and trained != config.preset:
+    if trained != config.preset:
         raise UserError(f"{own} was trained under the preset {trained}, not {config.preset}")
-    return own / "policy.npz" if (own / "DONE").exists() else weights.shipped(config.preset, policy, config.seed)
+    return own / "policy.npz"
 
 
 def weights_path(policy: str, config: TrainConfig) -> Path:
@@ -131,13 +133,11 @@ def load_policy(policy: str, config: TrainConfig) -> Single | Hierarchy:
     path = weights_path(policy, config)
     own = Policy.load(path)
     _check_shape(own, own.obs_dim if own.obs_dim in (OBS_DIM, NUM_SCANDOTS) else OBS_DIM, len(skills))
-    found = digests(skills)
-    for name, digest in own.meta.get("skills", {}).items():
-        if found.get(name, digest) != digest:
-            raise UserError(
-                f"{path} was trained over another {name} than {weights_path(name, config)}; train it again, "
-                "or give another --runs"
-            )
+    for name in other_skills(own.meta, digests(skills)):
+        raise UserError(
+            f"{path} was trained over another {name} than {weights_path(name, config)}; train it again, "
+            "or give another --runs"
+        )
     return selector_hierarchy(policy, skills, own)
 
 
@@ -193,6 +193,11 @@ def bank_steps(names: tuple[str, ...], config: TrainConfig) -> int:
 def digests(skills: dict[str, Policy]) -> dict[str, str]:
     """Name the very skills of a bank, as a selector records those it was trained over."""
     return {name: skill.digest() for name, skill in skills.items()}
+
+
+def other_skills(meta: dict, bank: dict[str, str]) -> list[str]:
+    """Return the skills of a selector's checkpoint that are not those of a bank's :func:`digests`."""
+    return [name for name, digest in meta.get("skills", {}).items() if bank.get(name, digest) != digest]
 
 
 def load_skill(path: Path, env: EnvConfig) -> Policy:

@@ -29,6 +29,7 @@ from agility_ref.bank import (
     digests,
     find_weights,
     load_bank,
+    other_skills,
     run_folder,
     weights_path,
 )
@@ -284,9 +285,8 @@ def _resume_or_warm_start(
                 raise UserError(
                     f"{folder} was started with {key} {began[key]}, not {ours}; give that, or another --out"
                 )
-        for other, digest in meta.get("skills", {}).items():
-            if bank.get(other, digest) != digest:
-                raise UserError(f"{folder} was started over another {other}; give its folder, or another --out")
+        for other in other_skills(meta, bank):
+            raise UserError(f"{folder} was started over another {other}; give its folder, or another --out")
         if not {"curriculum.level", "normalizer.count"} <= arrays.keys():
             raise UserError(f"{saved} can act but not be trained further: it lacks the state of a training run")
         learner.load_arrays(arrays)

@@ -192,9 +192,8 @@ save(figure, "03_clipped_objective.png")
 # `agility-ref train walk --preset quick --out runs/tutorial`.
 
 # %%
-config = TrainConfig(
-    preset="quick", seed=0, out="runs/tutorial"
-)  # not runs/quick, where the shipped selectors would find another walk than theirs
+# Not in runs/quick, where the shipped selectors would find another walk than theirs.
+config = TrainConfig(preset="quick", seed=0, out="runs/tutorial")
 ppo = config.ppo
 print(
     f"one iteration: {ppo.num_envs} robots x {ppo.num_steps} steps = {ppo.batch_size} steps, "
