@@ -53,16 +53,18 @@ def read_progress(path: Path) -> dict[str, np.ndarray]:
 
 
 class ProgressLog:
-    """The progress bar and progress.csv of one run; averages over the last 200 episodes."""
+    """The progress bar and progress.csv of one run; averages over the last 200 episodes.
 
-    def __init__(self, name: str, folder: Path, rows: list[dict], total: int, quiet: bool):
+    ``done`` of its ``total`` steps are spent when it begins; ``rows`` are those of before.
+    """
+
+    def __init__(self, name: str, folder: Path, rows: list[dict], done: int, total: int, quiet: bool):
         from tqdm import tqdm
 
         self.path, self.rows, self.episodes = folder / "progress.csv", rows, deque(maxlen=200)
         if rows:  # a run that goes on has the averages of before until 200 more episodes have ended
             self.episodes.extend([self._average_episode(rows[-1])] * 200)
         self.written = 0
-        done = int(rows[-1]["steps"]) if rows else 0
         self.bar = tqdm(
             total=total,
             initial=done,

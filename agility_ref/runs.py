@@ -229,7 +229,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool)
     if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
     _write_config(spec, config, folder)
-    log = ProgressLog(spec.name, folder, rows, total, quiet)
+    log = ProgressLog(spec.name, folder, rows, learner.steps, total, quiet)
     kinds = [f"level_{kind}" for kind in spec.courses] if len(spec.courses) > 1 and config.curriculum.enabled else []
     stop = StopRequest()
     last_drawn = time.monotonic()

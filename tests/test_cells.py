@@ -198,3 +198,20 @@ def imported(name):
 def test_every_file_behind_an_episode_is_in_the_digest():
     # errors.py holds messages alone
     assert imported("evaluate") - {"errors"} <= set(SOURCES)
+
+
+def test_the_digest_is_that_of_the_text(monkeypatch, tmp_path):
+    for name in cells.SOURCES:
+        (tmp_path / f"{name}.py").write_text(name)
+    monkeypatch.setattr(cells, "__file__", str(tmp_path / "cells.py"))
+    before = cells.code_digest.__wrapped__()
+    (tmp_path / "env.py").write_text("another")
+    assert cells.code_digest.__wrapped__() != before
+
+
+@pytest.mark.parametrize("what", ["mujoco.__version__", "numpy.__version__"])
+def test_another_simulator_is_played(bank, played, tmp_path, monkeypatch, what):
+    find(bank, tmp_path)
+    monkeypatch.setattr(what, "0")
+    find(bank, tmp_path)
+    assert len(played) == 2

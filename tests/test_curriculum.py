@@ -142,3 +142,8 @@ def test_half_of_the_episodes_at_the_top_are_on_a_level_drawn_from_all():
     curriculum.level[:] = curriculum.played[:] = 9
     played(curriculum, np.arange(2000), np.full(2000, 0.5))
     assert np.mean(curriculum.played == 9) == pytest.approx(0.55, abs=0.04)  # 1/2, and 1/10 of the rest
+
+
+def test_every_course_is_drawn_anew():
+    world = training_world(("gap", "climb-gap"), CurriculumConfig(num_levels=3, variants=2), 1.0, seed=0)
+    assert len({c.waypoints[:, 1].tobytes() for c in world.courses}) == len(world)

@@ -207,3 +207,25 @@ def test_bad_input_is_one_line(weights, capsys, command, expected):
     assert err.startswith("agility-ref: ") and err.count("\n") == 1 and out == ""
     for text in expected:
         assert text in err
+
+
+def test_measure_by_hand():
+    ones = np.ones((5, 2))
+    report = measure(
+        hand_made(ones, reached=(0.25, 0.5)), hand_made(ones, reached=(1.0, 1.0)), hand_made(ones, reached=(0.5, 0.5))
+    )
+    # right in steps 0, 2, 3 of 5, and in steps 1, 2 of 3
+    assert report["accuracy"]["mean"] == pytest.approx((3 / 5 + 2 / 3) / 2)
+    # 0 0 3 3 1 and 3 3 0: two changes in 0.1 s, one in 0.06 s;  wanted 0 3 3 3 3 and 0 3 0: one and two
+    assert report["switches_per_second"]["mean"] == pytest.approx((2 / 0.1 + 1 / 0.06) / 2)
+    assert report["wanted_switches_per_second"]["mean"] == pytest.approx((1 / 0.1 + 2 / 0.06) / 2)
+    # leap acts in 4 of 8 steps and is wanted in 5
+    assert report["commonest"] == {"skill": "leap", "share": 0.5, "wanted_share": 0.625}
+    assert report["regret"]["mean"] == 0.625 and report["regret_same_skills"]["mean"] == 0.125
+
+
+def test_a_long_obstacle_is_near_along_its_whole_span():
+    obstacles = (Obstacle(5.0, 6.0, "leap"), Obstacle(6.5, 6.5, "climb-up"))
+    offset, kind = nearest_obstacle(hand_made([[5.9, 6.4]], obstacles=obstacles))
+    np.testing.assert_allclose(offset, [[0.9, -0.1]])  # in the gap, though the step is nearer than the gap's beginning
+    np.testing.assert_array_equal(kind, [[3, 1]])

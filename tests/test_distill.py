@@ -1,10 +1,13 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from agility_ref.checkpoint import Policy
-from agility_ref.distill import DistillConfig, collect_actions, fit_student
+from agility_ref.distill import DistillConfig, FineTuneConfig, collect_actions, fit_student
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.policies import PPOConfig
 from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
 from agility_ref.task import EnvConfig
 from agility_ref.terrain import make_course
@@ -102,3 +105,27 @@ def test_a_seed_decides_the_student():
     x, y = states(200), states(200, 1)[:, :ACTION_DIM]
     first, again, other = (policy_of(x, y, seed=seed)[0] for seed in (0, 0, 1))
     assert first.digest() == again.digest() != other.digest()
+
+
+def test_fine_tuning_replaces_what_both_have():
+    ppo = FineTuneConfig(std=0.3, num_steps=7, target_kl=0.004, ent_coef=0.2).apply(PPOConfig())
+    expected = replace(
+        PPOConfig(),
+        num_steps=7,
+        target_kl=0.004,
+        ent_coef=0.2,
+        critic_learning_rate=5e-4,
+        learning_rate_min=1e-5,
+        anneal_share=1.0,
+    )
+    assert ppo == expected
+
+
+def test_the_students_step_size_falls(monkeypatch):
+    from agility_ref import networks
+
+    seen, fit = [], networks.fit
+    monkeypatch.setattr(networks, "fit", lambda *a, **k: seen.append(k) or fit(*a, **k))
+    x = np.zeros((8, 184), np.float32)
+    fit_student(x, x[:, :12], (4,), DistillConfig(epochs=1), 0)
+    assert seen == [{"anneal": True}]

@@ -835,3 +835,31 @@ def test_the_last_waypoint_and_a_fall_at_once_is_a_finish():
     env._qpos[0, 3:7] = np.cos(0.8), np.sin(0.8), 0.0, 0.0  # rolled by 1.6 rad: fallen
     _, _, terminated, truncated, info = env.step(still(env))
     assert info["episode"]["waypoints"][0] == NUM_WAYPOINTS and truncated[0] and not terminated[0]
+
+
+def test_edges_add_up_over_the_episode(monkeypatch):
+    env = make_env("walk", n=2)
+    monkeypatch.setattr(env, "_near_edge", lambda: np.tile([True, False, True, True], (2, 1)))
+    for k in range(1, 4):
+        *_, info = env.step(still(env))
+        assert info["episode"]["edge"].tolist() == [3 * k, 3 * k]
+
+
+def test_a_new_episode_begins_with_a_look():
+    env = make_env("gap", n=1, d=1.0, config=replace(CLEAN, scandot_period=1000))
+    first = env.reset(0)[0][:, SCANDOTS]
+    pit = env.world.courses[0].obstacles[0]
+    stand(env, 0, (pit.x0 + pit.x1) / 2, 0.0, z=-0.5)
+    env._look(np.arange(1))
+    observation, _, terminated, _, info = env.step(still(env))
+    assert terminated.all() and np.ptp(info["final_observation"][0, SCANDOTS]) > 0.5
+    np.testing.assert_allclose(observation[:, SCANDOTS], first, atol=1e-6)
+
+
+@pytest.mark.parametrize("height, fallen", [(0.03, True), (0.09, False)])
+def test_a_trunk_that_sinks_between_the_banks_has_fallen(height, fallen):
+    env = make_env("gap", n=1, d=1.0)
+    pit = env.world.courses[0].obstacles[0]
+    stand(env, 0, (pit.x0 + pit.x1) / 2, 0.0)
+    env._qpos[0, 2] = height
+    assert env.step(still(env))[2].all() == fallen

@@ -4,6 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from agility_ref import evaluate as evaluation_module
+from agility_ref.env import Go1Env
 from agility_ref.errors import UserError
 from agility_ref.evaluate import (
     METRICS,
@@ -20,13 +22,15 @@ from agility_ref.evaluate import (
     switches_per_second,
     waypoint_fraction,
 )
+from agility_ref.observation import observation_slices
 from agility_ref.policies import ENVIRONMENTS
 from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
 from agility_ref.task import EnvConfig
-from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS
+from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, SKILLS
 
 SHORT = EnvConfig(episode_seconds=0.6)  # 30 steps
 FEW = EvaluationConfig(episodes=3, seed=1)
+SLICES = observation_slices()
 
 # --- metrics, by hand ------------------------------------------------------------------
 # Five steps of two episodes.  The first lasts all five, the second ends with step 3 of 5;
@@ -351,3 +355,38 @@ def test_the_oracle_is_what_it_wants(five_skills):
 
 def test_policies_without_skills_make_no_choices(single):
     assert evaluate(single, "gap", FEW, SHORT).choices() == {}
+
+
+def test_edges_are_counted_step_by_step(make_policy, monkeypatch):
+    monkeypatch.setattr(Go1Env, "_near_edge", lambda self: np.tile([True, True, False, False], (self.num_envs, 1)))
+    assert evaluate(Single("random", make_policy()), "walk", FEW, SHORT).edge_violation.tolist() == [2.0] * 3
+
+
+def test_environment_steps_are_those_of_all_episodes(make_policy):
+    e = evaluate(Single("random", make_policy()), "walk", FEW, SHORT)
+    assert e.summary()["environment_steps"] == 90
+
+
+def test_the_seed_of_an_evaluation_decides_the_starts(make_policy, monkeypatch):
+    """Not the courses alone: on the same courses another seed draws other starts, commands and payloads."""
+    seen = []
+
+    class Noting(Single):
+        def act(self, observation, env):
+            payload = [model.body_mass.sum() for model in env.simulation.models]
+            seen.append((observation[:, SLICES["dof_pos"]], env.command.copy(), np.array(payload)))
+            return super().act(observation, env)
+
+    world = evaluation_world("gap", FEW)
+    monkeypatch.setattr(evaluation_module, "evaluation_world", lambda *_: world)
+    for seed in (1, 2):
+        evaluate(Noting("noting", make_policy()), "gap", replace(FEW, seed=seed), EnvConfig(episode_seconds=0.02))
+    for first, second in zip(*seen, strict=True):
+        assert (first != second).all()
+
+
+def test_a_skill_for_both_ways_is_right_on_a_step_down(make_policy, monkeypatch):
+    three = {name: make_policy(k, name) for k, name in enumerate(("walk", "climb", "leap"))}
+    monkeypatch.setattr(Go1Env, "oracle_skill", lambda self: np.full(self.num_envs, SKILLS.index("climb-down")))
+    choices = evaluate(oracle_hierarchy("oracle", three), "climb", FEW, SHORT).choices()
+    assert choices["oracle_accuracy"].tolist() == [1.0] * 3

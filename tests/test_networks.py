@@ -11,6 +11,7 @@ from agility_ref.networks import (
     gaussian_entropy,
     gaussian_kl,
     gaussian_log_prob,
+    mlp,
 )
 
 
@@ -208,3 +209,9 @@ def test_normalised_data_is_standard():
 
 def test_outliers_are_clipped_at_five():
     np.testing.assert_array_equal(Normalizer(2)(np.array([[1e6, -1e6]], np.float32)), [[5.0, -5.0]])
+
+
+def test_hidden_layers_keep_the_scale():
+    first, last = mlp([8, 8, 8], 0.01)[0::2]
+    np.testing.assert_allclose((first.weight @ first.weight.T).detach(), 2 * np.eye(8), atol=1e-5)
+    np.testing.assert_allclose((last.weight @ last.weight.T).detach(), 1e-4 * np.eye(8), atol=1e-6)

@@ -1,5 +1,7 @@
 """Detectors by hand: columns are episodes, rows control steps of 0.02 s."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -109,3 +111,16 @@ def test_what_a_policy_lacks_is_none():
     found = odd_behaviours(hand_made(("walk", "climb", "stand", "leap")))
     assert found["beam_before_up_step"] is None and found["kicked_back"] is None
     assert found["abandoned_leap"]["events"] == 1  # its one skill for climbing counts as climb-up
+
+
+def test_two_events_of_one_episode_and_steps_after_the_end():
+    """The hand-made episode twice over within one, and a down-step that is walked."""
+    one = hand_made()
+    recorded = {name: getattr(one, name) for name in ("skill", "position", "velocity")}
+    twice = {name: np.concatenate([values[:14], values[:14], values[14:]]) for name, values in recorded.items()}
+    twice["skill"][26:28] = W  # the second time it walks off
+    twice["position"][-1, 0, 0] = 1.5  # after the end it stands before the up-step
+    found = odd_behaviours(replace(one, oracle=twice["skill"], **twice))
+    assert found["abandoned_leap"] == {"events": 2, "episodes": 1, "chances": 2}
+    assert found["leapt_down"] == {"events": 1, "episodes": 1, "chances": 2}
+    assert found["beam_before_up_step"] == {"events": 2, "episodes": 1, "chances": 2}

@@ -10,6 +10,7 @@ from agility_ref.networks import Categorical, Gaussian
 from agility_ref.observation import OBS_DIM
 from agility_ref.policies import PPOConfig
 from agility_ref.ppo import (
+    Batch,
     Rollout,
     adapt_learning_rate,
     collect,
@@ -19,6 +20,7 @@ from agility_ref.ppo import (
     schedule,
     train,
     update,
+    update_actor,
 )
 
 torch.set_num_threads(1)
@@ -578,3 +580,61 @@ def test_mirror_is_part_of_the_update(monkeypatch):
         learner, env = make(config=replace(TINY, mirror=mirror)), FakeEnv()
         update(learner, collect(env, learner, env.reset(0)[0])[0])
     assert len(seen) == 1
+
+
+def batch(learner, n=6, advantage=0.0, std=1.0, log_ratio=0.0, off=0.0):
+    """n steps whose policy had ``std`` times the learner's spread, and whose returns are ``off`` its values."""
+    obs = torch.randn(n, 2, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        mean, log_std = Gaussian.parameters(learner.net, obs)
+        actions = mean + 0.5
+        log_prob = Gaussian.log_prob((mean, log_std), actions) - torch.as_tensor(log_ratio)
+        values = learner.net.value(obs)
+    return Batch(
+        obs, actions, torch.full((n,), advantage), values + off, (mean, log_std + float(np.log(std))), log_prob
+    )
+
+
+def test_one_pass_of_the_actor_by_hand():
+    learner = make(config=replace(TINY, update_epochs=1, ent_coef=0.1, target_kl=0.1, learning_rate=1e-3))
+    before = learner.net.log_std.item()
+    ratios = torch.log(torch.tensor([0.7, 0.85, 1.0, 1.15, 1.3, 1.5]))  # three beyond 1 +- 0.2
+    found = update_actor(learner, [batch(learner, std=2.0, log_ratio=ratios)])
+    # KL(2 s || s) = log(1/2) + 4/2 - 1/2
+    assert found["kl"] == pytest.approx(np.log(0.5) + 1.5, abs=1e-5) and found["clip_fraction"] == pytest.approx(0.5)
+    assert learner.learning_rate == pytest.approx(1e-3 / 1.5)  # 0.81 is above twice the target
+    # nothing to gain but entropy: Adam's first step widens the policy by the step size
+    assert learner.net.log_std.item() - before == pytest.approx(1e-3 / 1.5, rel=1e-3)
+
+
+def test_the_end_of_training_aims_at_no_divergence():
+    learner = make(config=replace(TINY, update_epochs=1, target_kl=10.0))
+    learner.anneal = 0.0
+    update_actor(learner, [batch(learner, std=2.0)])
+    assert learner.learning_rate == pytest.approx(1e-3 / 1.5)
+
+
+def test_a_resumed_run_meets_other_starts():
+    class Noting(FakeEnv):
+        def reset(self, seed=None):
+            seeds.append(seed)
+            return super().reset(seed)
+
+    seeds = []
+    for steps in (0, TINY.batch_size):
+        learner = make()
+        learner.steps = steps
+        list(train(Noting(), learner, steps + TINY.batch_size))
+    assert seeds[0] != seeds[1]
+
+
+def test_the_seed_decides_network_and_exploration():
+    a, b = make(0), make(1)
+    assert not np.array_equal(a.arrays()["actor.0.weight"], b.arrays()["actor.0.weight"])
+    assert a.generator.initial_seed() != b.generator.initial_seed()
+
+
+def test_a_start_without_a_critic_begins_with_small_steps():
+    learner = make()
+    learner.warm_start(without_critic(make(seed=1)), steps=100, std=0.25, critic_steps=1000)
+    assert learner.learning_rate == TINY.learning_rate_min

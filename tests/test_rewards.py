@@ -146,3 +146,8 @@ def test_reward_is_dt_times_the_weighted_sum():
     np.testing.assert_allclose(terms["tracking_yaw"], [0.04], rtol=1e-12)
     np.testing.assert_allclose(terms["torques"], [-0.05], rtol=1e-12)
     assert terms["collision"].tolist() == [0.0]
+
+
+def test_weights_have_the_sign_of_their_meaning():
+    earns = {name for name, weight in vars(RewardConfig()).items() if weight > 0}
+    assert earns == {"tracking_goal_vel", "tracking_yaw", "alive"}

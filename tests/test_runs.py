@@ -566,7 +566,7 @@ def test_bad_distillation_is_refused(config, bad, message):
 def test_averages_go_on_where_they_were(tmp_path):
     """10 new episodes among 190 like the last row's."""
     row = {"steps": "64", "reward": "2", "episode_length": "100", "waypoint_fraction": "0.5", "edge_violation": "0.25"}
-    log = ProgressLog("walk", tmp_path, [row], 1000, quiet=True)
+    log = ProgressLog("walk", tmp_path, [row], 500, 1000, quiet=True)
     episode = {"reward": 0.0, "length": 50, "waypoints": 8, "edge": 0.0}
     record = dict.fromkeys(PROGRESS, 0.0) | {"steps": 96, "episodes": [episode] * 10}
     log.add(record, 0.0, 0.0, {})
@@ -575,3 +575,7 @@ def test_averages_go_on_where_they_were(tmp_path):
     assert figures["episode_length"] == pytest.approx(97.5)  # (190 100 + 10 50) / 200
     assert figures["waypoint_fraction"] == pytest.approx(0.525)  # (190 4 + 10 8) / 200 / 8
     assert figures["edge_violation"] == pytest.approx(23.75 / 97.5, rel=1e-5)  # 25 feet an episode, 190 of 200
+
+
+def test_the_bar_of_a_warm_start_begins_where_it_left_off(tmp_path):
+    assert ProgressLog("climb", tmp_path, [], 500, 1000, quiet=True).bar.n == 500

@@ -15,6 +15,7 @@ from agility_ref.selector import (
     oracle_hierarchy,
     selector_hierarchy,
     skill_labels,
+    visit,
 )
 from agility_ref.task import EnvConfig
 from agility_ref.terrain import SKILLS, make_course
@@ -399,3 +400,45 @@ def test_a_fall_within_a_hold_is_reported_with_its_own_end(env, five_skills):
     np.testing.assert_array_equal(info["final_observation"][others], observation[others])
     assert (info["final_observation"][2] != observation[2]).any()
     assert env._step_count[2] == 4  # of the next episode
+
+
+@pytest.fixture
+def three_skills(make_policy):
+    return {name: make_policy(k, name) for k, name in enumerate(("walk", "climb", "leap"))}
+
+
+def test_oracle_reward_over_three_skills(env, three_skills):
+    selector_env = SelectorEnv(env, oracle_hierarchy("oracle", three_skills), "oracle")
+    selector_env.reset(0)
+    spread(env)  # before nothing, a gap, a step, a beam
+    _, reward, *_ = selector_env.step(np.array([0, 2, 1, 0]))  # walk, leap, climb, and walk in the place of beam
+    np.testing.assert_allclose(reward, 0.02)
+
+
+def test_a_selector_of_three_knows_the_oracles_labels(three_skills):
+    hierarchy = selector_hierarchy("ps-rl-3", three_skills, linear_selector(OBS_DIM, 9))
+    assert hierarchy.labels.tolist() == [0, 1, 1, 2, 0]
+
+
+def test_a_held_choice_ends_with_the_episode_also_in_training_data(env, five_skills):
+    asked = []
+    hierarchy = Hierarchy(
+        "held", tuple(five_skills.values()), lambda o, e: asked.append(1) or np.zeros(len(o), int), 100
+    )
+    env.max_steps = 3
+    list(visit(env, hierarchy, 4 * 7))
+    assert len(asked) == 3  # at steps 0, 3, 6
+
+
+def test_action_noise_is_drawn_anew(env, five_skills, monkeypatch):
+    taken, step = [], env.step
+    monkeypatch.setattr(env, "step", lambda action: taken.append(action) or step(action))
+    still = Single("still", lambda o: np.zeros((len(o), 12)))
+    list(visit(env, still, 400, 0.5))
+    assert np.mean(taken) == pytest.approx(0.0, abs=0.05) and np.std(taken) == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_selectors_normaliser_is_that_of_the_scandots():
+    arrays, _ = fit_selector(*separable(50, 0), 3, SupervisedConfig(epochs=1, hidden=(4,)), 0)
+    assert not arrays["normalizer.mean"].any()
+    np.testing.assert_allclose(arrays["normalizer.var"], 0.09)

@@ -187,3 +187,7 @@ def test_paired_difference_is_of_means():
     a = np.tile([1.0] + [0.0] * 9, 10)
     mean, low, high = paired_difference(a, np.zeros(100))
     assert mean == pytest.approx(0.1) and 0.03 < low < 0.1 < high < 0.2
+
+
+def test_iqm_rounds_the_quarter_down():
+    assert iqm(np.array([0.0, 1, 2, 3, 4, 5, 20])) == 3.0  # of 7 one goes at each end: (1 + 2 + 3 + 4 + 5) / 5

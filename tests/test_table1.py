@@ -260,3 +260,8 @@ def test_the_published_table_is_that_of_the_shipped_weights():
     for metric in METRICS:
         assert f"{played[metric]['mean']:.4f}" == published[f"{metric}_mean_ours"]
         assert f"{played[metric]['std']:.4f}" == published[f"{metric}_std_ours"]
+
+
+def test_the_interval_of_the_iqm_is_that_of_the_iqm():
+    ours = summarise([make_cell(reward=[0.0] * 15 + [1e6])])
+    assert ours.iqm["reward"] == (0.0, 0.0, 0.0)

@@ -394,3 +394,32 @@ def test_treads_hold_a_robot_behind_the_step():
     for seed in range(20):
         xs = [o.x0 for o in make_course("climb-up", 1.0, seed).obstacles]
         assert np.diff(xs).min() >= 0.5 + terrain.step_height(1.0) - 0.02
+
+
+def test_regions_by_numbers():
+    obstacles = [
+        Obstacle(3.0, 3.0, "climb-up"),
+        Obstacle(6.0, 6.0, "climb-down"),
+        Obstacle(9.0, 9.4, "leap"),
+        Obstacle(12.0, 13.0, "beam"),
+    ]
+    regions = region_map(course([lane(0, 18, 0.0)], obstacles))
+    borders = (np.flatnonzero(np.diff(regions)) + 1) * 0.02
+    np.testing.assert_allclose(borders, [2.2, 3.46, 5.2, 6.46, 8.0, 9.76, 11.6, 13.3], atol=0.021)
+
+
+def test_support_reaches_a_robots_length():
+    support = support_map(course([lane(0, 5, 0.0), lane(5, 18, 0.3)]))
+    assert support[cell(5.42)] == 0.0 and support[cell(5.48)] == np.float32(0.3)
+
+
+@pytest.mark.parametrize("drop, is_edge", [(0.07, False), (0.08, True)])
+def test_edges_drop_seven_and_a_half_centimetres(drop, is_edge):
+    heights = np.zeros((8, 1), np.float32)
+    heights[4:] = drop
+    assert np.isfinite(edge_map(heights)).any() == is_edge
+
+
+def test_the_two_tiles_of_a_row_differ():
+    boxes = make_course("walk", 1.0, 0).boxes[1:]
+    assert all(a.top != b.top for a, b in zip(boxes[::2], boxes[1::2], strict=True))

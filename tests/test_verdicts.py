@@ -14,6 +14,7 @@ from agility_ref.verdicts import (
     over_seeds,
     paired,
     text,
+    usual_seeds,
 )
 
 YES, NO = Comparison("yes", 0.2, 0.1, 0.3, seeds=2), Comparison("no", -0.2, -0.3, -0.1, seeds=2)
@@ -132,3 +133,8 @@ def test_markdown_lists_claims_then_comparisons():
 
 def test_no_findings_at_all():
     assert text([]) == "" and markdown([], "x").endswith("|---|---|---|\n")
+
+
+def test_usual_seeds_ignore_what_was_not_measured():
+    three = Comparison("a", 0.1, 0.0, 0.2, seeds=3)
+    assert usual_seeds([finding(NOTHING, NOTHING, three)]) == 3
