@@ -4,6 +4,8 @@ In:  the rest of the command line.  Out: files, or a page in the browser.
 """
 
 import shlex
+import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -42,14 +44,28 @@ class Play:
         """Return the file to write."""
         return Path(self.out or f"{what}-{self.policy}-{self.environment}{suffix}")
 
+    @property
+    def training(self):
+        """What names the weights."""
+        from agility_ref.bank import TrainConfig, existing
+
+        return TrainConfig(preset=self.preset, seed=self.train_seed, out=existing(self.runs))
+
     def load(self):
         """Return the policy and the evaluation's configuration."""
-        from agility_ref.bank import TrainConfig, existing, load_policy
+        from agility_ref.bank import load_policy
         from agility_ref.evaluate import EvaluationConfig
 
         config = EvaluationConfig(seed=self.seed, preset=self.preset, difficulty=self.difficulty, clean=self.clean)
-        training = TrainConfig(preset=self.preset, seed=self.train_seed, out=existing(self.runs))
-        return load_policy(self.policy, training), config
+        return load_policy(self.policy, self.training), config
+
+    def name_weights(self) -> None:
+        """Say which weights act: own runs, or those shipped."""
+        from agility_ref.bank import weights_path
+        from agility_ref.cells import acting_policies
+
+        for name in acting_policies(self.policy):
+            print(f"weights {weights_path(name, self.training)}", file=sys.stderr)
 
     def record(self, courses: int = 1, robots: int = 1) -> list:
         """Play and return the episodes."""
@@ -60,12 +76,13 @@ class Play:
         return record(policy, self.environment, config, numbers, robots)
 
 
-def _save(figure, out: Path, argv: list[str]) -> None:
+def _save(draw: Callable, out: Path, argv: list[str]) -> None:
+    """Draw and write a figure, if there is a place to write it to."""
     from agility_ref.plots import save_figure
 
     if out.suffix not in ("", ".png", ".svg") or not out.name or out.is_dir():
         raise UserError(f"a figure is written as .png and .svg, not to {str(out)!r}")
-    print(", ".join(map(str, save_figure(figure, out, shlex.join(["agility-ref", *argv])))))
+    print(", ".join(map(str, save_figure(draw(), out, shlex.join(["agility-ref", *argv])))))
 
 
 def plot_runs(argv: list[str]) -> None:
@@ -120,7 +137,7 @@ def plot_curves(argv: list[str]) -> None:
         found.setdefault(label, []).append(curve)
         if args.evaluate:
             points.setdefault(label, []).append(_evaluation_point(run, args.evaluate, args.episodes))
-    _save(learning_curves(found, points), Path(args.out), argv)
+    _save(lambda: learning_curves(found, points), Path(args.out), argv)
 
 
 def _evaluation_point(run: Path, environment: str, episodes: int) -> dict:
@@ -148,7 +165,8 @@ def plot_strobe(argv: list[str]) -> None:
         """Time between two drawings of the robot [s]; usual 0.3 to 1."""
 
     args = tyro.cli(Strobe, args=argv[2:], prog="agility-ref plot strobe")
-    _save(strobe(args.record()[0], args.period), args.path("strobe", ".png"), argv)
+    _save(lambda: strobe(args.record()[0], args.period), args.path("strobe", ".png"), argv)
+    args.name_weights()
 
 
 def plot_oracle_map(argv: list[str]) -> None:
@@ -167,7 +185,8 @@ def plot_oracle_map(argv: list[str]) -> None:
     args = tyro.cli(OracleMap, args=argv[2:], prog="agility-ref plot oracle-map")
     if args.courses < 1 or args.robots < 1:
         raise UserError("--courses and --robots must be at least 1")
-    _save(oracle_map(args.record(args.courses, args.robots)), args.path("oracle-map", ".png"), argv)
+    _save(lambda: oracle_map(args.record(args.courses, args.robots)), args.path("oracle-map", ".png"), argv)
+    args.name_weights()
 
 
 def plot_episode(argv: list[str]) -> None:
@@ -184,7 +203,8 @@ def plot_episode(argv: list[str]) -> None:
         """Its length [s]."""
 
     args = tyro.cli(Panel, args=argv[2:], prog="agility-ref plot episode")
-    _save(episode_panel(args.record()[0], args.seconds, args.start), args.path("episode", ".png"), argv)
+    _save(lambda: episode_panel(args.record()[0], args.seconds, args.start), args.path("episode", ".png"), argv)
+    args.name_weights()
 
 
 def plot_courses(argv: list[str]) -> None:
@@ -203,7 +223,7 @@ def plot_courses(argv: list[str]) -> None:
     args = tyro.cli(Courses, args=argv[2:], prog="agility-ref plot courses")
     if args.seed < 0:
         raise UserError(f"seed must be at least 0, not {args.seed}")
-    _save(course_gallery(seed=args.seed), Path(args.out), argv)
+    _save(lambda: course_gallery(seed=args.seed), Path(args.out), argv)
 
 
 def plot_skills(argv: list[str]) -> None:
@@ -226,8 +246,11 @@ def plot_skills(argv: list[str]) -> None:
     args = tyro.cli(Skills, args=argv[2:], prog="agility-ref plot skills")
     courses = {"climb-down": "climb-down", "climb-up": "climb-up", "walk": "walk", "leap": "gap", "beam": "beam"}
     common = {"preset": args.preset, "difficulty": args.difficulty, "runs": args.runs, "clean": True}
-    episodes = {skill: Play(skill, course, **common).record()[0] for skill, course in courses.items()}
-    _save(skills_figure(episodes), Path(args.out), argv)
+
+    def draw():
+        return skills_figure({skill: Play(skill, course, **common).record()[0] for skill, course in courses.items()})
+
+    _save(draw, Path(args.out), argv)
 
 
 def plot_framework(argv: list[str]) -> None:
@@ -242,7 +265,7 @@ def plot_framework(argv: list[str]) -> None:
         """File to write."""
 
     args = tyro.cli(Framework, args=argv[2:], prog="agility-ref plot framework")
-    _save(framework_figure(), Path(args.out), argv)
+    _save(framework_figure, Path(args.out), argv)
 
 
 PLOTS = {
@@ -281,6 +304,7 @@ def video(argv: list[str]) -> None:
     episode = args.record()[0]
     count = write_video(frames(episode, args.film), out, args.film, shlex.join(["agility-ref", "video", *argv]))
     print(f"{out}: {count} frames; {episode.summary()}")
+    args.name_weights()
 
 
 def watch(argv: list[str]) -> None:
@@ -309,8 +333,10 @@ def watch(argv: list[str]) -> None:
     if args.html:
         episode = args.record()[0]
         print(f"{clip(episode, Path(args.html), args.seconds)}: {episode.summary()}")
+        args.name_weights()
         return
     policy, config = args.load()
+    args.name_weights()
     if args.window:
         from agility_ref.window import show
 

@@ -354,6 +354,12 @@ def test_plot_commands_write_what_they_print(trained, capsys, command):
         assert image.text["Description"] == f"agility-ref plot {command}"
 
 
+def test_a_picture_says_which_weights_act(trained, capsys):
+    assert main(["plot", "strobe", "oracle", "--environment", "walk"]) == 0
+    paths = [f"runs/full/{skill}/seed0/policy.npz" for skill in SKILLS]
+    assert capsys.readouterr().err.splitlines() == [f"weights {path}" for path in paths]
+
+
 def test_plot_curves_with_evaluation(trained, capsys):
     write_progress(trained / "more")
     folder = trained / "runs" / "full" / "leap" / "seed0"
@@ -379,6 +385,7 @@ def test_plot_curves_of_shipped_weights(tmp_path, monkeypatch):
     ("strobe walk --environment gaps", ["unknown environment 'gaps'", "gap"]),
     ("strobe walk --environment gap --course -1", ["courses", "-1"]),
     ("oracle-map walk --environment gap --robots 0", ["--robots"]),
+    ("strobe walk --environment gap --out walk.pdf", [".png", "'walk.pdf'"]),
     ("courses --seed -1", ["seed must be at least 0, not -1"]),
     ("framework --out runs/full/walk/seed0/policy.npz/x.png", ["policy.npz"]),
     ("curves", ["run folder"]),

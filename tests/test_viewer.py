@@ -248,8 +248,8 @@ def test_without_viser_one_line_says_what_to_install(monkeypatch, capsys, tmp_pa
     monkeypatch.setattr("agility_ref.weights.shipped", lambda *key: None)
     finished_run(tmp_path, "walk")
     assert main(f"watch walk --environment gap --runs {tmp_path}".split()) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1 and "pip install viser" in err
+    weights, error = capsys.readouterr().err.splitlines()
+    assert weights.startswith("weights ") and "pip install viser" in error
 
 
 # --- the page itself: needs viser ---------------------------------------------------------
