@@ -8,6 +8,7 @@ from agility_ref.observation import OBSERVATION, observation_slices
 from agility_ref.rewards import TERMS, RewardConfig
 
 ROOT = Path(__file__).parent.parent
+PAGES = ["README.md", "benchmarks/README.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))]
 
 
 def test_observation_table_is_that_of_the_code():
@@ -25,11 +26,19 @@ def test_reward_table_is_that_of_the_code():
         assert formula.replace("&#124;", "|") == TERMS[name].__doc__.splitlines()[0].rstrip(".")
 
 
-@pytest.mark.parametrize("page", ["README.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))])
+@pytest.mark.parametrize("page", PAGES)
 def test_files_that_the_pages_link_to_exist(page):
     path = ROOT / page
     for target in re.findall(r"\]\(([^)#:]+)\)", path.read_text()):
         assert (path.parent / target).exists(), f"{page} links to {target}"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_tables_are_whole(page):
+    """Every block of rows has a header, a ruler and as many cells in all rows: a blank line within breaks a table."""
+    for block in re.findall(r"(?:^\|.*\n)+", (ROOT / page).read_text() + "\n", re.M):
+        header, ruler, *rows = [len(re.findall(r"(?<!\\)\|", line)) for line in block.splitlines()]
+        assert re.fullmatch(r"[-| :]+", block.splitlines()[1]) and {header, *rows} == {ruler}, block[:200]
 
 
 def test_files_of_the_reading_order_import_only_from_above():
