@@ -5,6 +5,7 @@ In:  an :class:`~agility_ref.record.Episode`.  Out: a matplotlib figure.
 
 import numpy as np
 
+from agility_ref.errors import UserError
 from agility_ref.gait import measure
 from agility_ref.go1 import DOF_RANGE, LEGS, TORQUE_LIMITS
 from agility_ref.plots import BLUE, ORANGE, RED, empty_figure, style
@@ -21,9 +22,17 @@ def episode_panel(episode: Episode, seconds: float = 3.0, start: float | None = 
     episode : what was played
     seconds : length of the window of the joint panels [s]
     start : where it begins [s]; by default it is the middle of the episode
+
+    Raises
+    ------
+    UserError : a window of no length, or outside of the episode
     """
+    if not 0.0 < seconds < np.inf:
+        raise UserError(f"seconds must be above 0, got {seconds}")
     duration = len(episode) * episode.dt
     begin = max((duration - seconds) / 2, 0.0) if start is None else start
+    if not 0.0 <= begin < duration:
+        raise UserError(f"start must lie within the episode, 0 to {duration:g} s, got {begin:g}")
     window = (episode.time >= begin) & (episode.time <= begin + seconds)
     with style():
         figure = empty_figure((14.0, 9.6))

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from agility_ref.errors import UserError
 from agility_ref.go1 import FOOT_RADIUS, LEGS
 from agility_ref.plots import GREY, PURPLE, RED, SKILL_COLOURS, empty_figure, new_figure, style
 from agility_ref.record import Episode
@@ -68,7 +69,13 @@ def strobe(episode: Episode, period: float = 0.7, spacing: float = 0.3):
     episode : what was played
     period : time between two drawings of the robot [s]
     spacing : a robot that has moved less than this since its last drawing is not drawn [m]
+
+    Raises
+    ------
+    UserError : a period that is not above 0 and finite
     """
+    if not 0.0 < period < np.inf:
+        raise UserError(f"period must be above 0, got {period}")
     x, z = episode.qpos[:, 0], episode.qpos[:, 2]
     ground = ground_along(episode.course, x, episode.qpos[:, 1])
     heights = height_map(episode.course)

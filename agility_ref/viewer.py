@@ -313,8 +313,8 @@ def clip(episode: Episode, out: Path, seconds: float = 10.0, fps: int = 25) -> P
     seconds : how much of it, from the start [s]
     fps : pictures per second; usual 10 to 50
     """
-    if seconds <= 0:
-        raise UserError(f"seconds must be positive, not {seconds}")
+    if not 0.0 < seconds < np.inf:
+        raise UserError(f"seconds must be above 0, got {seconds}")
     server = open_server(0)
     try:
         stage = Stage(server, episode.course)
