@@ -6,6 +6,7 @@ line and exits with status 2.
 """
 
 import json
+import os
 import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -204,9 +205,13 @@ def main(argv: list[str] | None = None) -> int:
         if argv[0] not in COMMANDS:
             raise unknown_name("command", argv[0], COMMANDS)
         COMMANDS[argv[0]](argv[1:])
+        sys.stdout.flush()
     except UserError as error:
         print(f"agility-ref: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # the reader of our output, `head` for one, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except OSError as error:
         if error.filename is None:
             raise

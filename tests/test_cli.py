@@ -1,4 +1,5 @@
 import json
+import os
 import subprocess
 import sys
 
@@ -281,3 +282,14 @@ def test_python_dash_m():
     assert done.returncode == 2
     assert done.stderr.startswith("agility-ref: unknown policy 'wlak': did you mean walk")
     assert done.stderr.count("\n") == 1
+
+
+def test_a_reader_that_has_seen_enough_gets_no_traceback():
+    """As `agility-ref list | head -1` does it."""
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-m", "agility_ref", "list"], stdout=write, stderr=subprocess.PIPE, timeout=60
+    )
+    os.close(write)
+    assert done.returncode == 1 and done.stderr == b""
