@@ -11,7 +11,6 @@ Out: the folder, from which :mod:`agility_ref.bank` loads the policy.
 """
 
 import json
-import math
 import shutil
 import time
 from dataclasses import asdict, replace
@@ -38,6 +37,7 @@ from agility_ref.curriculum import Curriculum, training_world
 from agility_ref.distill import collect_actions, fit_student
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.errors import UserError
+from agility_ref.limits import check_settings
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS, sight
 from agility_ref.policies import PolicySpec, find_policy, find_preset, requirements
 from agility_ref.progress import ProgressLog, StopRequest, read_rows, write_csv, write_text
@@ -93,92 +93,6 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False) -> Path:
         raise
     shutil.rmtree(aside, ignore_errors=True)
     return folder
-
-
-def check_settings(spec: PolicySpec, config: TrainConfig) -> None:
-    """Refuse numbers that no run can be made with.
-
-    Raises
-    ------
-    UserError : names the flag, what was given and the least that is allowed
-    """
-    for what, given in as_flags(asdict(config)).items():
-        if isinstance(given, float) and not math.isfinite(given):
-            raise UserError(f"{what} must be a finite number, got {given}")
-    for what, given, least in (
-        ("seed", config.seed, 0),
-        ("steps", config.steps, 0),
-        ("ppo.num-envs", config.ppo.num_envs, max(len(spec.courses), 1)),  # robots of every kind of course
-        ("ppo.num-steps", config.ppo.num_steps, 1),
-        ("ppo.update-epochs", config.ppo.update_epochs, 1),
-        ("ppo.num-minibatches", config.ppo.num_minibatches, 1),
-        ("ppo.hidden", min(config.ppo.hidden, default=1), 1),
-        ("ppo.gamma", config.ppo.gamma, 0),
-        ("ppo.gae-lambda", config.ppo.gae_lambda, 0),
-        ("ppo.ent-coef", config.ppo.ent_coef, 0),
-        ("ppo.learning-rate-min", config.ppo.learning_rate_min, 0),
-        ("ppo.learning-rate-max", config.ppo.learning_rate_max, config.ppo.learning_rate_min),
-        ("ppo.critic-learning-rate", config.ppo.critic_learning_rate, 0),
-        ("ppo.anneal-share", config.ppo.anneal_share, 0),
-        ("env.physics.substeps", config.env.physics.substeps, 1),
-        ("env.physics.iterations", config.env.physics.iterations, 1),
-        ("env.noise", config.env.noise, 0),
-        ("env.gait-clock", config.env.gait_clock, 0),
-        ("env.stall-seconds", config.env.stall_seconds, 0),
-        ("env.turned-start-share", config.env.turned_start_share, 0),
-        ("env.action-repeat", config.env.action_repeat, 1),
-        ("env.scandot-period", config.env.scandot_period, 1),
-        ("env.push-interval", config.env.push_interval, 0),
-        ("env.payload-high", config.env.payload_high, 0),
-        ("env.command-high", config.env.command_high, config.env.command_low),
-        ("env.friction-high", config.env.friction_high, config.env.friction_low),
-        ("curriculum.num-levels", config.curriculum.num_levels, 1),
-        ("curriculum.variants", config.curriculum.variants, 1),
-        ("selector.decision-steps", config.selector.decision_steps, 1),
-        ("selector.switch-cost", config.selector.switch_cost, 0),
-        ("supervised.dagger-rounds", config.supervised.dagger_rounds, 0),
-        ("supervised.epochs", config.supervised.epochs, 1),
-        ("supervised.batch-size", config.supervised.batch_size, 1),
-        ("distill.dagger-rounds", config.distill.dagger_rounds, 0),
-        ("distill.action-noise", config.distill.action_noise, 0),
-        ("distill.epochs", config.distill.epochs, 1),
-        ("distill.batch-size", config.distill.batch_size, 1),
-        ("fine-tune.critic-steps", config.fine_tune.critic_steps, 0),
-        ("fine-tune.num-steps", config.fine_tune.num_steps, 1),
-    ):
-        if not given >= least:
-            raise UserError(f"{what} must be at least {least}, got {given}")
-    for what, given in (
-        ("ppo.init-std", config.ppo.init_std),
-        ("ppo.learning-rate", config.ppo.learning_rate),
-        ("ppo.clip-coef", config.ppo.clip_coef),
-        ("ppo.target-kl", config.ppo.target_kl),
-        ("ppo.max-grad-norm", config.ppo.max_grad_norm),
-        ("ppo.final-std", config.ppo.final_std),
-        ("warm-std", config.warm_std),
-        ("fine-tune.std", config.fine_tune.std),
-        ("env.physics.timestep", config.env.physics.timestep),
-        ("env.physics.kp", config.env.physics.kp),
-        ("env.action-scale", config.env.action_scale),
-        ("env.action-limit", config.env.action_limit),
-        ("env.waypoint-radius", config.env.waypoint_radius),
-        ("env.max-tilt", config.env.max_tilt),
-        ("env.command-low", config.env.command_low),
-        ("env.friction-low", config.env.friction_low),
-        ("env.episode-seconds", config.env.episode_seconds),
-    ):
-        if not given > 0:
-            raise UserError(f"{what} must be above 0, got {given}")
-    for what, given, most in (
-        ("seed", config.seed, 2**63 - 1),  # torch counts no further
-        ("ppo.gamma", config.ppo.gamma, 1),
-        ("ppo.gae-lambda", config.ppo.gae_lambda, 1),
-        ("ppo.anneal-share", config.ppo.anneal_share, 1),
-        ("ppo.num-minibatches", config.ppo.num_minibatches, config.ppo.batch_size),
-        ("env.turned-start-share", config.env.turned_start_share, 1),
-    ):
-        if not given <= most:
-            raise UserError(f"{what} must be at most {most}, got {given}")
 
 
 def _write_config(spec: PolicySpec, config: TrainConfig, folder: Path) -> None:
