@@ -93,14 +93,17 @@ def find_weights(policy: str, config: TrainConfig) -> Path | None:
 
     Raises
     ------
-    UserError : unknown policy or preset, a run of another preset, or shipped weights that are damaged
+    UserError : unknown policy or preset, a run of another preset, or settings or shipped weights that are damaged
     """
     find_preset(config.preset)
     own = run_folder(config.root, policy, config.seed)
     if not (own / "DONE").exists():
         return weights.shipped(config.preset, policy, config.seed)
     settings = own / "config.json"
-    trained = json.loads(settings.read_text()).get("preset") if settings.exists() else config.preset
+    try:
+        trained = json.loads(settings.read_text()).get("preset") if settings.exists() else config.preset
+    except (ValueError, AttributeError):
+        raise UserError(f"{settings} is damaged: it is to hold the settings of a run, as JSON") from None
     if trained != config.preset:
         raise UserError(f"{own} was trained under the preset {trained}, not {config.preset}")
     return own / "policy.npz"
@@ -116,9 +119,10 @@ def weights_path(policy: str, config: TrainConfig) -> Path:
     found = find_weights(policy, config)
     if found:
         return found
+    out = f" --out {config.out}" if config.out else ""
     raise UserError(
         f"no weights for {policy}, preset {config.preset}, seed {config.seed}; "
-        f"train them with: agility-ref train {policy} --preset {config.preset} --seed {config.seed}"
+        f"train them with: agility-ref train {policy} --preset {config.preset} --seed {config.seed}{out}"
     )
 
 

@@ -24,6 +24,8 @@ import numpy as np
 from agility_ref.errors import UserError
 
 SCHEMA = "agility_ref/1"
+CLIP = 5.0  # observations are clipped to this many standard deviations, in training and acting
+VAR_FLOOR = 1e-8  # added to a variance before its root is taken
 
 
 def processor() -> str:
@@ -173,7 +175,7 @@ class Policy:
         """
         try:
             layers = layers_of(arrays, "actor")
-            mean, std = arrays["normalizer.mean"], np.sqrt(arrays["normalizer.var"] + 1e-8)
+            mean, std = arrays["normalizer.mean"], np.sqrt(arrays["normalizer.var"] + VAR_FLOOR)
             if std.shape != mean.shape:
                 raise UserError(f"{source}: normalizer.var has shape {std.shape}, mean {mean.shape}")
             seen = [
@@ -184,7 +186,7 @@ class Policy:
                 raise UserError(
                     f"{source}: seen.low and seen.high have shapes {[a.shape for a in seen]}, mean {mean.shape}"
                 )
-            low, high = (np.clip((limit - mean) / std, -5.0, 5.0).astype(np.float32) for limit in seen)
+            low, high = (np.clip((limit - mean) / std, -CLIP, CLIP).astype(np.float32) for limit in seen)
             width = len(mean)
             for weight, bias in layers:
                 if weight.shape != (len(bias), width):

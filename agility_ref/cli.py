@@ -5,6 +5,7 @@ tyro reads; the help text is the docstring of the field.  A mistake of the user 
 line and exits with status 2.
 """
 
+import errno
 import json
 import os
 import sys
@@ -93,7 +94,7 @@ def table1(argv: list[str]) -> None:
     """Compute Table 1, and what it says about the paper's findings."""
     from agility_ref import findings, table1, table_output, verdicts
     from agility_ref.bank import TrainConfig, existing
-    from agility_ref.evaluate import EvaluationConfig
+    from agility_ref.evaluate import EvaluationConfig, check_evaluation
     from agility_ref.policies import find_policy
 
     @dataclass(frozen=True)
@@ -135,6 +136,7 @@ def table1(argv: list[str]) -> None:
     if args.ablations and not Path(args.ablations).is_file():
         raise UserError(f"no file of ablations at {args.ablations}")
     training = TrainConfig(preset=config.preset, out=args.runs if args.train else existing(args.runs))
+    check_evaluation(config)
     for seed in seeds if args.train else ():
         table1.train_all(replace(training, seed=seed))
 
@@ -174,16 +176,22 @@ def table1(argv: list[str]) -> None:
 def list_names(argv: list[str]) -> None:
     """Print what there is."""
     from agility_ref.policies import ALIASES, ENVIRONMENTS, POLICIES, PRESETS
-    from agility_ref.weights import FOLDER, file_name
+    from agility_ref.weights import FOLDER
+
+    @dataclass(frozen=True)
+    class List:
+        """Print the policies with their courses, budgets and shipped weights, the environments and the presets."""
+
+    tyro.cli(List, args=argv, prog="agility-ref list")
 
     print(f"environments: {' '.join(ENVIRONMENTS)}\npresets: {' '.join(PRESETS)}\n")
     print(f"{'policy':16}{'trains on':58}{'quick':>8}{'full':>8}  weights shipped (preset: seeds)")
     for spec in POLICIES.values():
-        shipped = [
-            f"{preset}: {' '.join(seeds)}"
-            for preset in PRESETS
-            if (seeds := [str(k) for k in range(10) if (FOLDER / file_name(preset, spec.name, k)).exists()])
-        ]
+        shipped = []
+        for preset in PRESETS:
+            files = sorted(FOLDER.glob(f"{spec.name}-{preset}-seed*.npz"))
+            if files:
+                shipped.append(f"{preset}: {' '.join(file.stem.rpartition('seed')[2] for file in files)}")
         budgets = "".join(f"{b / 1e6:7.1f}M" if b else f"{'-':>8}" for b in spec.budget)
         print(f"{spec.name:16}{' '.join(spec.courses) or '-':58}{budgets}  {', '.join(shipped) or '-'}")
     print("\n" + ", ".join(f"{alias} is {name}" for alias, name in ALIASES.items()))
@@ -213,9 +221,10 @@ def main(argv: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
-        if error.filename is None:
+        if error.filename is None and error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
-        print(f"agility-ref: {error.filename}: {error.strerror}", file=sys.stderr)  # cannot be read or written
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"agility-ref: {where}{error.strerror}", file=sys.stderr)  # cannot be read or written, or a full disk
         return 2
     except KeyboardInterrupt as stopped:
         print(f"agility-ref: {str(stopped) or 'interrupted'}", file=sys.stderr)

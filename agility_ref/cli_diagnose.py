@@ -50,6 +50,7 @@ def diagnose(argv: list[str]) -> None:
     for environment in args.environment:
         evaluation_world(environment, args.config)  # named before the weights are looked for
     training = TrainConfig(preset=args.config.preset, seed=args.train_seed, out=existing(args.runs))
+    Path(args.results).mkdir(parents=True, exist_ok=True)  # before the simulation, in case it cannot be made
     traces, reports = _play(spec.name, args.environment, args.config, training)
 
     paths = _draw(traces, Path(args.results), shlex.join(["agility-ref", "diagnose", *argv]))

@@ -126,7 +126,7 @@ def plot_curves(argv: list[str]) -> None:
     policies = set(homes.values())
     alone = len({policy.name for policy in policies}) == len(policies)
     found: dict[str, list[dict]] = {}
-    points: dict[str, list[dict]] = {}
+    finished: dict[str, list[Path]] = {}
     for run, home in homes.items():
         if not (run.is_file() or (run / "progress.csv").is_file()):
             raise UserError(f"{run} holds no progress.csv")
@@ -135,9 +135,16 @@ def plot_curves(argv: list[str]) -> None:
             raise UserError(f"{run} has no returns to draw: not shipped weights, or trained by supervision")
         label = home.name if alone else str(home)
         found.setdefault(label, []).append(curve)
-        if args.evaluate:
-            points.setdefault(label, []).append(_evaluation_point(run, args.evaluate, args.episodes))
-    _save(lambda: learning_curves(found, points), Path(args.out), argv)
+        if args.evaluate and (run.is_file() or (run / "DONE").exists()):
+            finished.setdefault(label, []).append(run)
+
+    def draw():
+        return learning_curves(found, {
+            label: [_evaluation_point(run, args.evaluate, args.episodes) for run in runs]
+            for label, runs in finished.items()
+        })  # fmt: skip
+
+    _save(draw, Path(args.out), argv)
 
 
 def _evaluation_point(run: Path, environment: str, episodes: int) -> dict:
@@ -291,7 +298,7 @@ def video(argv: list[str]) -> None:
 
     if not {"-h", "--help"} & set(argv):
         choose_gl()  # before mujoco is imported
-    from agility_ref.video import VideoConfig, frames, write_video
+    from agility_ref.video import VideoConfig, check_video, frames, write_video
 
     @dataclass(frozen=True)
     class Video(Play):
@@ -301,6 +308,7 @@ def video(argv: list[str]) -> None:
 
     args = tyro.cli(Video, args=argv, prog="agility-ref video")
     out = args.path("video", ".webp")
+    check_video(out, args.film)
     episode = args.record()[0]
     count = write_video(frames(episode, args.film), out, args.film, shlex.join(["agility-ref", "video", *argv]))
     print(f"{out}: {count} frames; {episode.summary()}")

@@ -30,6 +30,8 @@ class CurriculumConfig:
     """Waypoint fraction below which a robot moves down; usual 0.2 to 0.5."""
     easy_share: float = 0.25
     """Share of resets to a level drawn at or below the robot's own, against forgetting; 0 to 0.5."""
+    top_easy_share: float = 0.5
+    """The same, in addition, for robots at the top, where the easy levels are furthest away; 0 to 0.8."""
     enabled: bool = True
     """False draws every level uniformly, the ablation of section 4.2."""
 
@@ -91,8 +93,8 @@ class Curriculum:
             self.level[ids] = np.clip(self.level[ids] + step * scored, 0, top)
         level = self.level[ids]
         easier = rng.integers(0, level + 1)
-        # At the top every level is played, so that the easy ones are not forgotten.
-        replay = (rng.random(len(ids)) < c.easy_share) | ((level == top) & (rng.random(len(ids)) < 0.5))
+        replay = rng.random(len(ids)) < c.easy_share
+        replay |= (level == top) & (rng.random(len(ids)) < c.top_easy_share)
         self.played[ids] = np.where(replay, easier, level)
         if not c.enabled:
             self.level[ids] = self.played[ids] = rng.integers(0, c.num_levels, len(ids))

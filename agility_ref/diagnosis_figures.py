@@ -8,7 +8,7 @@ import numpy as np
 
 from agility_ref.diagnosis import OFFSETS, confusion, wrong_share
 from agility_ref.evaluate import oracle_accuracy
-from agility_ref.plots import GREY, SKILL_COLOURS, empty_figure, new_figure, style
+from agility_ref.plots import SKILL_COLOURS, empty_figure, new_figure, skill_colour, style
 from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH, SKILLS
 from agility_ref.trace import Trace
 from agility_ref.world import LEAD, height_map, region_map
@@ -20,14 +20,14 @@ def _rgb(names: list[str]) -> np.ndarray:
     """Colours of skills, (n, 3) from 0 to 1."""
     from matplotlib.colors import to_rgb
 
-    return np.array([to_rgb(SKILL_COLOURS.get(name, GREY)) for name in names])
+    return np.array([to_rgb(skill_colour(name)) for name in names])
 
 
-def _legend(figure, names: list[str], ncols: int = 6) -> None:
+def _legend(figure, names: list[str]) -> None:
     from matplotlib.patches import Patch
 
-    items = [Patch(color=SKILL_COLOURS.get(name, GREY), label=name) for name in names]
-    figure.legend(handles=items, loc="outside lower center", ncols=ncols)
+    items = [Patch(color=skill_colour(name), label=name) for name in names]
+    figure.legend(handles=items, loc="outside lower center", ncols=6)
 
 
 def confusion_figure(traces: list[Trace]):

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agility_ref.env import ACTION_DIM, Go1Env
-from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.observation import OBS_DIM, SCANDOT_STD, SCANDOTS
 from agility_ref.policies import PPOConfig
 from agility_ref.selector import Hierarchy, Single, visit
 
@@ -100,7 +100,7 @@ def fit_student(
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    normalizer = Normalizer(OBS_DIM, SCANDOTS, 0.3)
+    normalizer = Normalizer(OBS_DIM, SCANDOTS, SCANDOT_STD)
     normalizer.update(observations)
     net = mlp([OBS_DIM, *hidden, ACTION_DIM], 0.01)
 

@@ -14,7 +14,7 @@ from agility_ref.observation import NOISE, NUM_SCANDOTS, SCANDOTS, rotation, sca
 from agility_ref.rewards import StepState, compute_reward
 from agility_ref.simulation import Simulation
 from agility_ref.task import EnvConfig
-from agility_ref.terrain import LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X
+from agility_ref.terrain import BEAM_DROP, LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X
 from agility_ref.world import EDGE_DISTANCE, World
 
 ACTION_DIM = 12
@@ -57,9 +57,9 @@ class Go1Env:
     **Disturbances**: a push every ``push_interval`` seconds; friction and payload of each
     course, drawn once.
 
-    **Terminated**: tipped over (tilt above ``max_tilt``), left the lane, trunk below the
-    surface that should carry it, or, over a beam's span, no foot at the beam's height; in
-    training also after ``stall_seconds`` without a waypoint; or the simulation failed.
+    **Terminated**: tipped over (tilt above ``max_tilt``), left the lane, trunk less than
+    ``fall_clearance`` above the surface that should carry it, or, over a beam's span, no
+    foot at the beam's height; in training also after ``stall_seconds`` without a waypoint; or the simulation failed.
 
     **Truncated**: 20 s, or the last waypoint reached.
 
@@ -131,7 +131,7 @@ class Go1Env:
         self.push_timer = np.zeros(n, int)  # control steps until the next push, 1 before the step that it strikes in
         self._last_action = np.zeros((n, ACTION_DIM))
         self._scandots = np.zeros((n, NUM_SCANDOTS), np.float32)
-        self._clock = 0  # control steps since the environment was made
+        self._clock = 0  # actions since the environment was made
         self._episode_reward = np.zeros(n)
         self._episode_edge = np.zeros(n)
         self.reset(seed)
@@ -260,7 +260,7 @@ class Go1Env:
     def _start_pose(self, n: int) -> np.ndarray:
         """Draw n starts, qpos (n, 19)."""
         rng, c = self.rng, self.config
-        shift = rng.uniform(-0.1, 0.1, (n, 3 + ACTION_DIM))  # x, y [m], yaw, joints [rad]
+        shift = rng.uniform(-c.start_noise, c.start_noise, (n, 3 + ACTION_DIM))  # x, y [m], yaw, joints [rad]
         yaw = np.zeros(n)
         if c.turned_start_share:
             turned = rng.random(n) < c.turned_start_share
@@ -343,14 +343,14 @@ class Go1Env:
         self._reach_timer[reached] = 0
 
     def _fallen(self) -> np.ndarray:
-        """(N,) tipped over, off the lane, below the support, or off the beam."""
+        """(N,) tipped over, off the lane, too close to the support or below it, or off the beam."""
         x, y, z = self._qpos[:, 0], self._qpos[:, 1], self._qpos[:, 2]
         i = self.world.column(x)
         tipped = self.projected_gravity[:, 2] > -np.cos(self.config.max_tilt)
         outside = (np.abs(y) > LANE_WIDTH / 2) | (x < 0)
-        below = z < self.world.support[self.course, i] + 0.05
-        # Beam tops stand at height 0 with the ground 0.2 m lower: 0.1 m separates the two.
-        off_beam = (self.simulation.foot_pos[:, :, 2] < FOOT_RADIUS - 0.1).all(axis=1)
+        below = z < self.world.support[self.course, i] + self.config.fall_clearance
+        # Beam tops stand at height 0 with the ground BEAM_DROP lower: half of that separates the two.
+        off_beam = (self.simulation.foot_pos[:, :, 2] < FOOT_RADIUS - BEAM_DROP / 2).all(axis=1)
         return tipped | outside | below | (off_beam & self.world.over_beam[self.course, i])
 
     def _look(self, ids: np.ndarray | slice) -> None:

@@ -32,7 +32,8 @@ from agility_ref.world import World
 METRICS = ("reward", "episode_length", "waypoint_fraction", "edge_violation")
 PROTOCOLS = ("complete", "as-published")
 
-GOLDEN_RATIO = (5**0.5 - 1) / 2  # steps of this share of a circle fill it most evenly
+EVALUATION_STREAM = 77  # in the seed of an evaluation course, and of no training course
+GOLDEN_SHARE = (5**0.5 - 1) / 2  # steps of this share of a circle fill it most evenly
 
 
 @dataclass(frozen=True)
@@ -221,10 +222,10 @@ def evaluation_courses(environment: str, config: EvaluationConfig) -> list[Cours
     kind = COURSE_KINDS.index(environment)
     courses, first = [], 0.0
     for episode in range(config.episodes):
-        rng = np.random.default_rng([config.seed, 77, kind, episode])  # no training world uses these
+        rng = np.random.default_rng([config.seed, EVALUATION_STREAM, kind, episode])
         drawn = rng.random()  # of every course, so that its layout does not depend on how d is chosen
         first = first if episode else drawn
-        d = highest * ((first + episode * GOLDEN_RATIO) % 1.0)
+        d = highest * ((first + episode * GOLDEN_SHARE) % 1.0)
         courses.append(make_course(environment, d if config.difficulty is None else config.difficulty, rng))
     return courses
 

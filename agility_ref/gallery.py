@@ -7,14 +7,16 @@ Out: matplotlib figures.
 import numpy as np
 
 from agility_ref.go1 import STAND_HEIGHT
-from agility_ref.pictures import X, draw_ground, ground_along, skill_colour
-from agility_ref.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, empty_figure, style
+from agility_ref.pictures import X, draw_ground, ground_along
+from agility_ref.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, empty_figure, skill_colour, style
 from agility_ref.record import Episode
 from agility_ref.silhouette import Robot
 from agility_ref.terrain import (
+    BEAM_DROP,
     COURSE_KINDS,
     LANE_LENGTH,
     LANE_WIDTH,
+    TILE_LENGTH,
     Course,
     beam_width,
     gap_width,
@@ -88,7 +90,7 @@ def _draw_profile(axis, course: Course) -> None:
         axis.text(
             4.1,
             0.28,
-            f"tiles 0.5 m long,\n{roughness(d):.3f} m high to low",
+            f"tiles {TILE_LENGTH:g} m long,\n{roughness(d):.3f} m high to low",
             ha="center",
             va="center",
             color=BLUE,
@@ -117,13 +119,13 @@ def _draw_beams(axis, course: Course) -> None:
     """View from above: beams light, the ground beside them dark."""
     heights = height_map(course)
     extent = (0, LANE_LENGTH, -LANE_WIDTH / 2, LANE_WIDTH / 2)
-    axis.imshow(heights.T, origin="lower", extent=extent, cmap="gray", vmin=-0.35, vmax=0.03, aspect="auto")
+    axis.imshow(heights.T, origin="lower", extent=extent, cmap="gray", vmin=-BEAM_DROP - 0.15, vmax=0.03, aspect="auto")
     axis.set(xlim=SHOWN, ylim=VIEW["beam"])
     first = course.obstacles[0]
     x, y, half = (first.x0 + first.x1) / 2, course.waypoints[1, 1], beam_width(course.difficulty) / 2
     _dimension(axis, (x + 0.25, y - half), (x + 0.25, y + half))
     axis.text(x, y - half - 0.05, f"{2 * half:.2f} m", ha="center", va="top", color="white", fontsize=11)
-    axis.text(x, 0.68, "-0.20 m", ha="center", va="top", color="white", fontsize=10.5)
+    axis.text(x, 0.68, f"{-BEAM_DROP:.2f} m", ha="center", va="top", color="white", fontsize=10.5)
     axis.plot(*course.waypoints.T, "D", color="white", markeredgecolor="black", markersize=6)
 
 

@@ -11,6 +11,7 @@ import torch
 
 from agility_ref.errors import UserError
 from agility_ref.networks import ActorCritic, Gaussian, Normalizer
+from agility_ref.observation import SCANDOT_STD
 from agility_ref.policies import PPOConfig
 
 
@@ -57,10 +58,10 @@ class Learner:
         distribution: type = Gaussian,
         fixed: slice = slice(0, 0),
     ) -> "Learner":
-        """Start from scratch; ``fixed`` observations are scaled by hand (1 / 0.3)."""
+        """Start from scratch; ``fixed`` observations are scaled by hand, as SCANDOT_STD."""
         torch.manual_seed(seed)
         net = ActorCritic(obs_dim, act_dim, config.hidden, config.init_std)
-        return cls(net, Normalizer(obs_dim, fixed, 0.3), config, distribution, seed)
+        return cls(net, Normalizer(obs_dim, fixed, SCANDOT_STD), config, distribution, seed)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the network and the normaliser, as checkpoints hold them."""

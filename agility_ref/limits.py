@@ -27,7 +27,9 @@ AT_LEAST: dict[str, float | str] = {
     "ppo.anneal-share": 0,
     "env.physics.substeps": 1,
     "env.physics.iterations": 1,
+    "env.physics.kd": 0,
     "env.noise": 0,
+    "env.start-noise": 0,
     "env.gait-clock": 0,
     "env.stall-seconds": 0,
     "env.turned-start-share": 0,
@@ -41,15 +43,21 @@ AT_LEAST: dict[str, float | str] = {
     "curriculum.variants": 1,
     "selector.decision-steps": 1,
     "selector.switch-cost": 0,
+    "selector.ent-coef": 0,
     "supervised.dagger-rounds": 0,
     "supervised.epochs": 1,
     "supervised.batch-size": 1,
+    "supervised.hidden": 1,
     "distill.dagger-rounds": 0,
     "distill.action-noise": 0,
     "distill.epochs": 1,
     "distill.batch-size": 1,
     "fine-tune.critic-steps": 0,
+    "fine-tune.critic-learning-rate": 0,
     "fine-tune.num-steps": 1,
+    "fine-tune.learning-rate-min": 0,
+    "fine-tune.anneal-share": 0,
+    "fine-tune.ent-coef": 0,
 }
 ABOVE_ZERO = (
     "ppo.init-std",
@@ -59,7 +67,10 @@ ABOVE_ZERO = (
     "ppo.target-kl",
     "ppo.max-grad-norm",
     "warm-std",
+    "supervised.learning-rate",
+    "distill.learning-rate",
     "fine-tune.std",
+    "fine-tune.target-kl",
     "env.physics.timestep",
     "env.physics.kp",
     "env.action-scale",
@@ -70,12 +81,14 @@ ABOVE_ZERO = (
     "env.friction-low",
     "env.episode-seconds",
 )
-AT_MOST: dict[str, float] = {
+AT_MOST: dict[str, float | str] = {
     "seed": 2**63 - 1,  # torch counts no further
     "ppo.gamma": 1,
     "ppo.gae-lambda": 1,
     "ppo.anneal-share": 1,
     "env.turned-start-share": 1,
+    "fine-tune.learning-rate-min": "ppo.learning-rate-max",
+    "fine-tune.anneal-share": 1,
 }
 
 
@@ -90,7 +103,8 @@ def check_settings(spec: PolicySpec, config: TrainConfig) -> None:
     for flag, value in given.items():
         if isinstance(value, float) and not math.isfinite(value):
             raise UserError(f"{flag} must be a finite number, got {value}")
-    given["ppo.hidden"] = min(config.ppo.hidden, default=1)
+    for flag in ("ppo.hidden", "supervised.hidden"):
+        given[flag] = min(given[flag], default=1)  # the narrowest layer
     robots = {"ppo.num-envs": max(len(spec.courses), 1)}  # one for every kind of course
     for flag, bound in (AT_LEAST | robots).items():
         least = given.get(bound, bound)
@@ -99,6 +113,7 @@ def check_settings(spec: PolicySpec, config: TrainConfig) -> None:
     for flag in ABOVE_ZERO:
         if not given[flag] > 0:
             raise UserError(f"{flag} must be above 0, got {given[flag]}")
-    for flag, most in (AT_MOST | {"ppo.num-minibatches": config.ppo.batch_size}).items():
+    for flag, bound in (AT_MOST | {"ppo.num-minibatches": config.ppo.batch_size}).items():
+        most = given.get(bound, bound)
         if not given[flag] <= most:
             raise UserError(f"{flag} must be at most {most}, got {given[flag]}")

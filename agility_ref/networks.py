@@ -14,6 +14,8 @@ import numpy as np
 import torch
 from torch import nn
 
+from agility_ref.checkpoint import CLIP, VAR_FLOOR
+
 LOG_2PI = float(np.log(2 * np.pi))
 
 
@@ -47,8 +49,8 @@ class Normalizer:
         self.count = total
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """Return observations normalised and clipped to +-5, float32."""
-        return np.clip((observation - self.mean) / np.sqrt(self.var + 1e-8), -5.0, 5.0)
+        """Return observations normalised and clipped to +-CLIP, float32."""
+        return np.clip((observation - self.mean) / np.sqrt(self.var + VAR_FLOOR), -CLIP, CLIP)
 
 
 def mlp(sizes: list[int], last_gain: float) -> nn.Sequential:

@@ -16,6 +16,7 @@ SCANDOT_X = np.arange(-0.45, 1.21, 0.15, dtype=np.float32)  # (12,) [m] ahead of
 SCANDOT_Y = np.arange(-0.75, 0.76, 0.15, dtype=np.float32)  # (11,) [m] to its left
 NUM_SCANDOTS = len(SCANDOT_X) * len(SCANDOT_Y)  # 132
 SCANDOT_ZERO = 0.3  # [m] under the trunk: ground there reads 0
+SCANDOT_STD = 0.3  # [m] by which networks divide scandots, whose own spread depends on the course
 SIGHT_MARGIN = 0.1  # [m] by which a walking trunk bobs, and what noise adds
 _GRID = np.stack(np.meshgrid(SCANDOT_X, SCANDOT_Y, indexing="ij")).reshape(2, -1) / np.float32(CELL)  # in cells
 _LAST_CELL = np.array([[n - 1] for n in GRID_SHAPE], np.int32)

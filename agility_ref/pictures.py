@@ -11,7 +11,7 @@ import numpy as np
 
 from agility_ref.errors import UserError
 from agility_ref.go1 import FOOT_RADIUS, LEGS
-from agility_ref.plots import GREY, PURPLE, RED, SKILL_COLOURS, empty_figure, new_figure, style
+from agility_ref.plots import PURPLE, RED, SKILL_COLOURS, empty_figure, new_figure, skill_colour, style
 from agility_ref.record import Episode
 from agility_ref.scene import LEG_COLOURS, SIDE, find_edges, waypoint_heights
 from agility_ref.silhouette import Robot
@@ -22,11 +22,6 @@ VIOLATION, ROBOT = RED, PURPLE
 ROW_LENGTH = 5.0  # [m] of course in one row of a strobe picture
 X = (np.arange(round(LANE_LENGTH / CELL)) + 0.5) * CELL  # [m] centres of the height map's cells
 Y = (np.arange(round(LANE_WIDTH / CELL)) + 0.5) * CELL - LANE_WIDTH / 2
-
-
-def skill_colour(name: str) -> str:
-    """Colour of a skill; grey for a name that is none."""
-    return SKILL_COLOURS.get(name, GREY)
 
 
 def stretches(values: np.ndarray) -> list[tuple[int, int]]:
@@ -158,7 +153,7 @@ def _draw_waypoints(axis, episode: Episode, start: float) -> None:
 
 
 def _draw_skill_band(axis, episode: Episode, top: float) -> None:
-    """Colour the top of a row by the acting skill, and above it by the oracle's."""
+    """Colour the top of a row by the acting skill, and below it by the oracle's."""
     if episode.skill is None:
         return
     x = episode.qpos[:, 0]

@@ -44,6 +44,11 @@ STYLE = {  # matplotlib rc settings: readable when a page shows the figure at ha
 }
 
 
+def skill_colour(name: str) -> str:
+    """Colour of a skill; grey for a name that is none."""
+    return SKILL_COLOURS.get(name, GREY)
+
+
 def style():
     """Return a context in which matplotlib follows STYLE."""
     import matplotlib

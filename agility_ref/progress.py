@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from agility_ref.errors import UserError
 from agility_ref.terrain import NUM_WAYPOINTS
 
 PROGRESS = (
@@ -41,15 +42,31 @@ def write_csv(path: Path, rows: list[dict]) -> None:
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """Read a progress.csv; a last row that was cut short is left out."""
-    with open(path, newline="") as file:
-        return [row for row in csv.DictReader(file) if None not in row.values()]
+    """Read a progress.csv; a last row that was cut short, and so has no end of line, is left out.
+
+    Raises
+    ------
+    UserError : a row has more or fewer cells than the header
+    """
+    text = path.read_text()
+    rows = list(csv.DictReader(text[: text.rfind("\n") + 1].splitlines()))
+    if any(None in row or None in row.values() for row in rows):
+        raise UserError(f"{path} is damaged: rows of different lengths")
+    return rows
 
 
 def read_progress(path: Path) -> dict[str, np.ndarray]:
-    """Read a progress.csv into one array a column."""
+    """Read a progress.csv into one array a column.
+
+    Raises
+    ------
+    UserError : not a table of numbers
+    """
     rows = read_rows(path)
-    return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]} if rows else {}
+    try:
+        return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]} if rows else {}
+    except ValueError as error:
+        raise UserError(f"{path} is damaged: {error}") from None
 
 
 class ProgressLog:

@@ -17,6 +17,10 @@ import numpy as np
 
 from agility_ref.go1 import DEFAULT_DOF_POS
 
+STUMBLE_RATIO = 4.0  # a foot stumbles when it is pushed sideways this many times as hard as upwards
+DRAG_CLEARANCE = 0.05  # [m] a foot that moves is to keep this far off the ground
+STANDING_SHARE = 0.3  # of the commanded speed: slower than this a robot stands
+
 
 @dataclass
 class StepState:
@@ -134,7 +138,7 @@ def collision(s: StepState) -> np.ndarray:
 def feet_stumble(s: StepState) -> np.ndarray:
     """1 if any foot is pushed sideways more than 4 times as hard as upwards."""
     sideways = s.foot_force[:, :, 0] ** 2 + s.foot_force[:, :, 1] ** 2
-    return (sideways > 16.0 * s.foot_force[:, :, 2] ** 2).any(axis=1).astype(np.float64)
+    return (sideways > STUMBLE_RATIO**2 * s.foot_force[:, :, 2] ** 2).any(axis=1).astype(np.float64)
 
 
 def feet_edge(s: StepState) -> np.ndarray:
@@ -148,7 +152,7 @@ def feet_drag(s: StepState) -> np.ndarray:
     Not in the original.  Without it robots learn to shuffle, and stub their toes on the first
     edge; a foot that stands still or swings high costs nothing.
     """
-    return (s.foot_speed * np.clip(0.05 - s.foot_clearance, 0.0, 0.05)).sum(axis=1)
+    return (s.foot_speed * np.clip(DRAG_CLEARANCE - s.foot_clearance, 0.0, DRAG_CLEARANCE)).sum(axis=1)
 
 
 def gait_sync(s: StepState) -> np.ndarray:
@@ -170,7 +174,7 @@ def standing(s: StepState) -> np.ndarray:
     A beginner that tries a gap falls half the time and earns no more: without this term,
     standing still pays.
     """
-    return np.clip(1.0 - s.goal_velocity / (0.3 * s.command), 0.0, 1.0) * ~s.on_level_course
+    return np.clip(1.0 - s.goal_velocity / (STANDING_SHARE * s.command), 0.0, 1.0) * ~s.on_level_course
 
 
 def alive(s: StepState) -> np.ndarray:

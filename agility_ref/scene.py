@@ -111,7 +111,7 @@ def _add(body, shape, size, colour, pos=(0, 0, 0), quat=(1, 0, 0, 0), fromto=Non
 
 
 def _dress_trunk(trunk) -> None:
-    """0.56 m from nose to tail with the head, 0.19 m wide at the shoulders."""
+    """0.58 m from nose to tail with the head, 0.18 m wide at the shoulders."""
     _add(trunk, BOX, (0.150, 0.062, 0.050), BODY)
     _add(trunk, ELLIPSOID, (0.200, 0.066, 0.030), BODY, pos=(0, 0, 0.046))
     _add(trunk, BOX, (0.110, 0.066, 0.026), DARK, pos=(-0.01, 0, -0.030))

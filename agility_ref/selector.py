@@ -15,7 +15,7 @@ import numpy as np
 
 from agility_ref.checkpoint import Policy
 from agility_ref.env import ACTION_DIM, Go1Env
-from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.observation import OBS_DIM, SCANDOT_STD, SCANDOTS
 from agility_ref.terrain import SKILLS
 
 Chooser = Callable[[np.ndarray, Go1Env], np.ndarray]
@@ -258,7 +258,7 @@ def fit_selector(
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    normalizer = Normalizer(scandots.shape[1], slice(0, scandots.shape[1]), 0.3)
+    normalizer = Normalizer(scandots.shape[1], slice(0, scandots.shape[1]), SCANDOT_STD)
     net = mlp([scandots.shape[1], *config.hidden, num_skills], 0.01)
     x, y = torch.from_numpy(normalizer(scandots)), torch.from_numpy(labels)
     losses = fit(

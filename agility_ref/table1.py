@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from agility_ref import weights
-from agility_ref.bank import TrainConfig
+from agility_ref.bank import TrainConfig, run_folder
 from agility_ref.cells import Cell, Cells, acting_policies, enter, find_cell, seeds_of
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS, EvaluationConfig, evaluation_world, mean_std
@@ -128,7 +128,7 @@ def train_all(config: TrainConfig, quiet: bool = False) -> None:
     """Train every policy of the table that has no finished run yet."""
     for name in ("walk", *TABLE_ROWS, *EXTRA_ROWS):
         spec = find_policy(name)
-        folder = config.root / spec.name / f"seed{config.seed}"
+        folder = run_folder(config.root, name, config.seed)
         if spec.method != "oracle" and not (folder / "DONE").exists():
             train_policy(name, config, quiet)
 

@@ -39,12 +39,16 @@ class EnvConfig:
     """... and is reached after staying there for this long [s]."""
     max_tilt: float = 1.4
     """Angle between trunk and vertical beyond which a robot has tipped over [rad]."""
+    fall_clearance: float = 0.05
+    """A trunk that is less than this above the ground it should walk over has fallen [m]."""
+    start_noise: float = 0.1
+    """Starts differ by up to +- this in position [m], yaw and joint angles [rad]; usual 0.05 to 0.2."""
     noise: float = 1.0
     """Scale of the observation noise; 0 turns it off."""
     gait_clock: float = 0.0
     """Rate [Hz] of a clock whose sine and cosine the robot also senses, an ablation; 0 for none, usual 2 to 3."""
     scandot_period: int = 2
-    """Control steps between two looks at the ground, taken in turn by the robots; 2 is 25 Hz, the original has 10 Hz."""
+    """Actions between two looks at the ground, taken in turn by the robots; 2 is 25 Hz, the original has 10 Hz."""
     push_interval: float = 6.0
     """Seconds between pushes; 0 turns them off.  Original: 8 in training, 6 in evaluation."""
     push_velocity: float = 0.5

@@ -34,6 +34,8 @@ START_LENGTH = 2.5  # [m] level platform at height 0 on which every course begin
 SPAWN_X = 1.0  # [m]
 NUM_WAYPOINTS = 8
 NUM_OBSTACLES = 6
+BEAM_DROP = 0.2  # [m] from a beam down to the ground beside it
+TILE_LENGTH = 0.5  # [m] of the rough ground's tiles along x; each row is split where the robot walks
 GRID_SHAPE = (round(LANE_LENGTH / CELL), round(LANE_WIDTH / CELL))  # (nx, ny)
 
 
@@ -119,12 +121,14 @@ def _lateral(rng: np.random.Generator, amplitude: float) -> float:
 
 def _walk(d: float, rng: np.random.Generator) -> Course:
     """Rough ground: rows of two tiles of random height, zig-zag waypoints (the original's 'flat')."""
-    row = 0.5  # [m] along x; each row is split where the robot walks
     boxes = [_slab(0.0, START_LENGTH, 0.0)]
-    for x in np.arange(START_LENGTH, LANE_LENGTH - 1e-9, row).tolist():
+    for x in np.arange(START_LENGTH, LANE_LENGTH - 1e-9, TILE_LENGTH).tolist():
         seam = _lateral(rng, 0.4)
         left, right = (float(z) for z in rng.uniform(-0.5, 0.5, 2) * roughness(d))
-        boxes += [Box(x, x + row, -LANE_WIDTH / 2, seam, right), Box(x, x + row, seam, LANE_WIDTH / 2, left)]
+        boxes += [
+            Box(x, x + TILE_LENGTH, -LANE_WIDTH / 2, seam, right),
+            Box(x, x + TILE_LENGTH, seam, LANE_WIDTH / 2, left),
+        ]
     spacing = rng.uniform(1.3, 1.9, NUM_WAYPOINTS - 1)
     x = 2.0 + np.concatenate([[0.0], np.cumsum(spacing)])
     y = [0.0] + [_lateral(rng, 0.4) for _ in range(NUM_OBSTACLES)] + [0.0]
@@ -204,16 +208,16 @@ def _climb_gap(d: float, rng: np.random.Generator) -> Course:
 
 
 def _beam(d: float, rng: np.random.Generator) -> Course:
-    """Six beams along the lane between full-width islands, ground 0.2 m below both sides."""
-    half, drop = beam_width(d) / 2, 0.2
+    """Six beams along the lane between full-width islands, the ground BEAM_DROP below on both sides."""
+    half = beam_width(d) / 2
     boxes, obstacles, waypoints = [_slab(0.0, START_LENGTH, 0.0)], [], [(2.0, 0.0)]
     x = START_LENGTH
     for i in range(NUM_OBSTACLES):
         length = snap(rng.uniform(0.9, 1.3))
         y = _lateral(rng, 0.15)
         boxes.append(Box(x, x + length, y - half, y + half, 0.0))
-        boxes.append(Box(x, x + length, -LANE_WIDTH / 2, y - half, -drop, walkable=False))
-        boxes.append(Box(x, x + length, y + half, LANE_WIDTH / 2, -drop, walkable=False))
+        boxes.append(Box(x, x + length, -LANE_WIDTH / 2, y - half, -BEAM_DROP, walkable=False))
+        boxes.append(Box(x, x + length, y + half, LANE_WIDTH / 2, -BEAM_DROP, walkable=False))
         obstacles.append(Obstacle(x, x + length, "beam"))
         waypoints.append((x + length / 2, y))
         x += length

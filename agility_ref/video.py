@@ -16,7 +16,7 @@ import numpy as np
 
 from agility_ref.errors import UserError
 from agility_ref.graphics import ADVICE
-from agility_ref.plots import GREY, SKILL_COLOURS, made_with
+from agility_ref.plots import made_with, skill_colour
 from agility_ref.record import Episode
 from agility_ref.scene import make_scene, mark_waypoints
 from agility_ref.terrain import NUM_WAYPOINTS
@@ -48,6 +48,24 @@ class VideoConfig:
     """Of WebP and MP4, 1 to 100."""
 
 
+def check_video(out: Path, config: VideoConfig) -> None:
+    """Refuse what cannot be filmed, before it is played.
+
+    Raises
+    ------
+    UserError : another suffix or quality; a size, rate, speed or length that leaves nothing to film
+    """
+    for what in ("width", "height", "fps", "speed", "seconds"):
+        if not getattr(config, what) > 0:
+            raise UserError(f"{what} must be above 0, got {getattr(config, what)}")
+    if not config.start >= 0:
+        raise UserError(f"start must be at least 0, got {config.start}")
+    if not 1 <= config.quality <= 100:
+        raise UserError(f"quality must be between 1 and 100, got {config.quality}")
+    if out.suffix not in (".webp", ".gif", ".mp4"):
+        raise UserError(f"a video ends in .webp, .gif or .mp4, not {out.suffix or out.name!r}")
+
+
 def open_renderer(model: mujoco.MjModel, config: VideoConfig) -> mujoco.Renderer:
     """Return a renderer.
 
@@ -63,17 +81,7 @@ def open_renderer(model: mujoco.MjModel, config: VideoConfig) -> mujoco.Renderer
 
 
 def frames(episode: Episode, config: VideoConfig = VideoConfig()) -> Iterator[np.ndarray]:
-    """Render the episode; yield images (height, width, 3) uint8.
-
-    Raises
-    ------
-    UserError : a size, rate, speed or length that leaves nothing to film
-    """
-    for what in ("width", "height", "fps", "speed", "seconds"):
-        if not getattr(config, what) > 0:
-            raise UserError(f"{what} must be above 0, got {getattr(config, what)}")
-    if not config.start >= 0:
-        raise UserError(f"start must be at least 0, got {config.start}")
+    """Render the episode; yield images (height, width, 3) uint8."""
     model = make_scene(episode.course)
     data = mujoco.MjData(model)
     camera = mujoco.MjvCamera()
@@ -112,7 +120,7 @@ def overlay(image: np.ndarray, episode: Episode, t: int) -> np.ndarray:
         x, y = margin, margin + 2.8 * size
         for label, index in (("skill", episode.skill[t]), ("oracle", episode.wanted[t])):
             name = episode.skills[index]
-            draw.rectangle([x, y, x + size, y + size], fill=SKILL_COLOURS.get(name, GREY), outline="black")
+            draw.rectangle([x, y, x + size, y + size], fill=skill_colour(name), outline="black")
             draw.text((x + 1.5 * size, y - 0.1 * size), f"{label}: {name}", fill="black", font=font)
             y += 1.4 * size
     return np.asarray(picture)
@@ -123,13 +131,10 @@ def write_video(images: Iterator[np.ndarray], out: Path, config: VideoConfig, co
 
     Raises
     ------
-    UserError : another suffix or quality, no image, or .mp4 without imageio-ffmpeg
+    UserError : as check_video, no image, or .mp4 without imageio-ffmpeg
     """
     out = Path(out)
-    if not 1 <= config.quality <= 100:
-        raise UserError(f"quality must be between 1 and 100, got {config.quality}")
-    if out.suffix not in (".webp", ".gif", ".mp4"):
-        raise UserError(f"a video ends in .webp, .gif or .mp4, not {out.suffix or out.name!r}")
+    check_video(out, config)
     first = next(images, None)
     if first is None:
         raise UserError("nothing to film: --start lies behind the end of the episode")

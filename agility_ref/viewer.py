@@ -21,7 +21,7 @@ import numpy as np
 from agility_ref.env import Go1Env
 from agility_ref.errors import UserError, unknown_name
 from agility_ref.evaluate import EvaluationConfig, check_evaluation
-from agility_ref.plots import GREY, SKILL_COLOURS
+from agility_ref.plots import skill_colour
 from agility_ref.policies import find_preset
 from agility_ref.record import Episode
 from agility_ref.scene import BOX, CAPSULE, CYLINDER, ELLIPSOID, LOOK_GROUP, SPHERE, WAYPOINT_COLOURS, make_scene
@@ -121,14 +121,12 @@ class Session:
 
 
 def open_server(port: int):
-    """Start viser on the loopback address only.
+    """Start viser on the loopback address only; port 0 is any that is free.
 
     Raises
     ------
-    UserError : no such port, or viser is not installed
+    UserError : viser is not installed
     """
-    if not 1 <= port <= 65535:
-        raise UserError(f"port must be between 1 and 65535, got {port}")
     try:
         import viser
     except ImportError:
@@ -236,7 +234,7 @@ def add_controls(server, session: Session, wishes: queue.SimpleQueue):
     Returns the handle of the status text.
     """
     status = server.gui.add_markdown("")
-    colours = [f'<span style="color:{SKILL_COLOURS.get(s, GREY)}">■</span> {s}' for s in session.skill_names]
+    colours = [f'<span style="color:{skill_colour(s)}">■</span> {s}' for s in session.skill_names]
     if colours:
         server.gui.add_markdown(" &nbsp; ".join(colours))
     pause = server.gui.add_button_group("simulation", ["pause", "go on"])
@@ -269,8 +267,10 @@ def serve(
 
     Raises
     ------
-    UserError : viser is not installed, or an unknown environment
+    UserError : no such port, viser is not installed, or an unknown environment
     """
+    if not 1 <= port <= 65535:
+        raise UserError(f"port must be between 1 and 65535, got {port}")
     session = Session(policy, environment, config)
     server = open_server(port)
     wishes: queue.SimpleQueue = queue.SimpleQueue()

@@ -95,5 +95,10 @@ def ship(run: Path, folder: Path = FOLDER) -> Path:
 
 
 if __name__ == "__main__":
-    for argument in sys.argv[1:]:
-        print(ship(Path(argument)))
+    if not sys.argv[1:]:
+        sys.exit("usage: python -m agility_ref.weights RUN...")
+    try:
+        for argument in sys.argv[1:]:
+            print(ship(Path(argument)))
+    except UserError as error:
+        sys.exit(f"agility_ref.weights: {error}")

@@ -37,7 +37,7 @@ def press(session: Session, key: int) -> None:
         session.next_course()
     elif key in (UP, DOWN):
         step = highest / 10 if key == UP else -highest / 10
-        session.next_course(float(np.clip(session.difficulty + step, 0.0, highest)))
+        session.next_course(float(np.clip(session.difficulty + step, 0.0, 1.0)))
     elif key in (LEFT, RIGHT, ord("B")):
         session.push({LEFT: "left", RIGHT: "right"}.get(key, "behind"))
     elif key == ord("0"):

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agility_ref.bank import TrainConfig, load_policy, run_folder, weights_path
+from agility_ref.bank import TrainConfig, find_weights, load_policy, run_folder, weights_path
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
 from agility_ref.observation import OBS_DIM
@@ -80,3 +80,16 @@ def test_a_run_of_another_preset_is_refused(config, tmp_path, finished_run):
     (folder / "config.json").write_text('{"preset": "quick"}')
     with pytest.raises(UserError, match="was trained under the preset quick, not full"):
         load_policy("walk", replace(config, preset="full"))
+
+
+@pytest.mark.parametrize("text", ["{", "[1, 2]", ""])
+def test_damaged_settings_are_named(tmp_path, finished_run, text):
+    finished_run(tmp_path, "walk")
+    (run_folder(tmp_path, "walk", 0) / "config.json").write_text(text)
+    with pytest.raises(UserError, match=r"walk.seed0.config\.json is damaged"):
+        find_weights("walk", TrainConfig(out=str(tmp_path)))
+
+
+def test_the_command_that_trains_what_is_missing_trains_it_there(tmp_path):
+    with pytest.raises(UserError, match=rf"agility-ref train leap --preset full --seed 7 --out {tmp_path}$"):
+        weights_path("leap", TrainConfig(seed=7, out=str(tmp_path)))

@@ -1,3 +1,4 @@
+import errno
 import json
 import os
 import subprocess
@@ -293,3 +294,24 @@ def test_a_reader_that_has_seen_enough_gets_no_traceback():
     )
     os.close(write)
     assert done.returncode == 1 and done.stderr == b""
+
+
+def test_list_takes_no_more_words(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["list", "walk"])
+    assert stopped.value.code == 2 and "walk" in capsys.readouterr().err
+
+
+def test_a_full_disk_is_one_line(monkeypatch, capsys):
+    def full(argv):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setitem(COMMANDS, "list", full)
+    assert main(["list"]) == 2
+    assert capsys.readouterr().err == "agility-ref: No space left on device\n"
+
+
+def test_a_table_is_refused_before_it_is_trained(monkeypatch, capsys):
+    monkeypatch.setattr("agility_ref.table1.train_all", lambda *args: pytest.fail("trained"))
+    assert main("table1 --train --episodes 0".split()) == 2
+    assert "episodes must be at least 1, not 0" in capsys.readouterr().err

@@ -147,3 +147,12 @@ def test_half_of_the_episodes_at_the_top_are_on_a_level_drawn_from_all():
 def test_every_course_is_drawn_anew():
     world = training_world(("gap", "climb-gap"), CurriculumConfig(num_levels=3, variants=2), 1.0, seed=0)
     assert len({c.waypoints[:, 1].tobytes() for c in world.courses}) == len(world)
+
+
+@pytest.mark.parametrize("easy, top, share", [(0.0, 0.0, 0.0), (0.0, 0.5, 0.5), (0.5, 0.5, 0.75)])
+def test_shares_of_easier_episodes_at_the_top(easy, top, share):
+    """1 - (1 - easy) (1 - top), of which a quarter draws the top level of four itself."""
+    curriculum = Curriculum(1, 4000, replace(PLAIN, easy_share=easy, top_easy_share=top), seed=0)
+    curriculum.level[:] = 3
+    courses = curriculum.next_course(np.arange(4000), None)
+    assert (courses < 3).mean() == pytest.approx(0.75 * share, abs=0.025)

@@ -16,7 +16,7 @@ from agility_ref.errors import UserError
 from agility_ref.learner import Learner
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.policies import PPOConfig, find_policy
-from agility_ref.progress import PROGRESS, ProgressLog, read_rows
+from agility_ref.progress import PROGRESS, ProgressLog, read_progress, read_rows
 from agility_ref.rewards import RewardConfig
 from agility_ref.runs import train_policy
 from agility_ref.selector import Hierarchy, SelectorConfig, Single, SupervisedConfig
@@ -537,3 +537,18 @@ def test_averages_go_on_where_they_were(tmp_path):
 
 def test_the_bar_of_a_warm_start_begins_where_it_left_off(tmp_path):
     assert ProgressLog("climb", tmp_path, [], 500, 1000, quiet=True).bar.n == 500
+
+
+@pytest.mark.parametrize(
+    "text, kept", [("a,b\n1,2\n3,4\n", 2), ("a,b\n1,2\n3,4", 1), ("a,b\n1,2\n3,", 1), ("a,b\n", 0), ("a,b", 0)]
+)
+def test_a_row_without_its_end_is_left_out(tmp_path, text, kept):
+    (tmp_path / "progress.csv").write_text(text)
+    assert len(read_rows(tmp_path / "progress.csv")) == kept
+
+
+@pytest.mark.parametrize("text", ["a,b\n1\n3,4\n", "a,b\n1,2,3\n", "a,b\n1,x\n", "a,b\n1,\n"])
+def test_a_damaged_progress_is_named(tmp_path, text):
+    (tmp_path / "progress.csv").write_text(text)
+    with pytest.raises(UserError, match=r"progress\.csv is damaged"):
+        read_progress(tmp_path / "progress.csv")

@@ -403,4 +403,4 @@ def test_no_such_port(port):
     from agility_ref import viewer
 
     with pytest.raises(UserError, match="port must be between 1 and 65535"):
-        viewer.open_server(port)
+        viewer.serve(None, "gap", None, port)

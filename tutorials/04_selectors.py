@@ -85,7 +85,7 @@ save(heat_map(table, BANK, "specialists alone: waypoint fraction"), "04_speciali
 # executes the skill of the region its robot stands in.  It learns nothing, so what it cannot
 # do is the specialists' fault, or the map's.
 #
-#     skill(t) = region map at (x, y) of the trunk at time t
+#     skill(t) = region map at x of the trunk at time t
 #
 # **Predict, then run.**  Is the oracle on `climb` as good as the better of `climb-up` and `climb-down` there?
 
@@ -216,7 +216,7 @@ save(heat_map(everything, names, "everybody: waypoint fraction, the same 24 cour
 print(f"that took {time.perf_counter() - STARTED:.0f} s")
 
 # %% [markdown]
-# **Predict, then run.**  Give the bank one specialist less: `skills.pop("climb-down")`, with `climb-up` in its place on the
-# oracle's map, say.  On which terrains does the bank lose, and does the generalist notice?
+# **Predict, then run.**  Give the bank one specialist less, before the oracle is made: `skills.pop("climb-down")`, with
+# `climb-up` in its place: `selector.SUBSTITUTE["climb-down"] = "climb-up"`, after `from agility_ref import selector`.  On which terrains does the bank lose, and does the generalist notice?
 #
 # `make table1` is this comparison for 11 policies, with every number's interval, beside the paper's.
