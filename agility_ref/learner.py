@@ -58,7 +58,7 @@ class Learner:
         distribution: type = Gaussian,
         fixed: slice = slice(0, 0),
     ) -> "Learner":
-        """Start from scratch; ``fixed`` observations are scaled by hand, as SCANDOT_STD."""
+        """Start from scratch; ``fixed`` observations are not normalised but divided by SCANDOT_STD."""
         torch.manual_seed(seed)
         net = ActorCritic(obs_dim, act_dim, config.hidden, config.init_std)
         return cls(net, Normalizer(obs_dim, fixed, SCANDOT_STD), config, distribution, seed)
