@@ -172,6 +172,15 @@ def as_flags(settings: dict, prefix: str = "") -> dict[str, object]:
     return flat
 
 
+def changed_flags(recorded: dict, config: TrainConfig) -> list[tuple[str, object, object]]:
+    """Return (flag, recorded, now) where the settings that a run recorded are not those of ``config``.
+
+    A flag that is newer than the record counts as unchanged.
+    """
+    began, now = as_flags(recorded), as_flags(json.loads(json.dumps(asdict(config))))
+    return [(flag, began[flag], ours) for flag, ours in now.items() if began.get(flag, ours) != ours]
+
+
 def load_bank(names: tuple[str, ...], config: TrainConfig) -> dict[str, Policy]:
     """Load frozen specialists, in the order given."""
     return {name: load_skill(weights_path(name, config), config.env) for name in names}

@@ -176,7 +176,7 @@ def table1(argv: list[str]) -> None:
 def list_names(argv: list[str]) -> None:
     """Print what there is."""
     from agility_ref.policies import ALIASES, ENVIRONMENTS, POLICIES, PRESETS
-    from agility_ref.weights import FOLDER
+    from agility_ref.weights import shipped_seeds
 
     @dataclass(frozen=True)
     class List:
@@ -187,11 +187,11 @@ def list_names(argv: list[str]) -> None:
     print(f"environments: {' '.join(ENVIRONMENTS)}\npresets: {' '.join(PRESETS)}\n")
     print(f"{'policy':16}{'trains on':58}{'quick':>8}{'full':>8}  weights shipped (preset: seeds)")
     for spec in POLICIES.values():
-        shipped = []
-        for preset in PRESETS:
-            files = sorted(FOLDER.glob(f"{spec.name}-{preset}-seed*.npz"))
-            if files:
-                shipped.append(f"{preset}: {' '.join(file.stem.rpartition('seed')[2] for file in files)}")
+        shipped = [
+            f"{preset}: {' '.join(map(str, seeds))}"
+            for preset in PRESETS
+            if (seeds := shipped_seeds(preset, spec.name))
+        ]
         budgets = "".join(f"{b / 1e6:7.1f}M" if b else f"{'-':>8}" for b in spec.budget)
         print(f"{spec.name:16}{' '.join(spec.courses) or '-':58}{budgets}  {', '.join(shipped) or '-'}")
     print("\n" + ", ".join(f"{alias} is {name}" for alias, name in ALIASES.items()))

@@ -308,7 +308,7 @@ def video(argv: list[str]) -> None:
 
     args = tyro.cli(Video, args=argv, prog="agility-ref video")
     out = args.path("video", ".webp")
-    check_video(out, args.film)
+    check_video(args.film, out)
     episode = args.record()[0]
     count = write_video(frames(episode, args.film), out, args.film, shlex.join(["agility-ref", "video", *argv]))
     print(f"{out}: {count} frames; {episode.summary()}")

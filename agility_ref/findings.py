@@ -29,11 +29,8 @@ EARLY = 0.25  # "early" is at this share of the shortest specialist's training a
 
 # The specialists that a generalist replaces.  Without walk, from which all of these start.
 REPLACED = {"gen-3": ("climb", "leap"), "gen-5": ("climb-up", "climb-down", "leap", "beam")}
-OWN = {
-    "gap": "leap",
-    "beam": "beam",
-    "climb": "climb",
-}  # the specialist of each terrain, and the oracle's other skills:
+# The specialist of each terrain, and the oracle's other skills.
+OWN = {"gap": "leap", "beam": "beam", "climb": "climb"}
 FOREIGN = {
     "gap": ("climb-up", "climb-down", "beam", "walk"),
     "beam": ("climb-up", "climb-down", "leap", "walk"),

@@ -23,7 +23,7 @@ import numpy as np
 from agility_ref import checkpoint
 from agility_ref.bank import (
     TrainConfig,
-    as_flags,
+    changed_flags,
     check_interface,
     digests,
     find_weights,
@@ -192,13 +192,10 @@ def _resume_or_warm_start(
     saved = folder / "policy.npz"
     if saved.exists():
         arrays, meta = checkpoint.load(saved)
-        began = {"preset": meta.get("preset", config.preset)} | as_flags(meta.get("config", {}))
-        now = as_flags(json.loads(json.dumps(asdict(config))))
-        for key, ours in now.items():
-            if key not in ("steps", "out", "overwrite") and began.get(key, ours) != ours:
-                raise UserError(
-                    f"{folder} was started with {key} {began[key]}, not {ours}; give that, or another --out"
-                )
+        recorded = {"preset": meta.get("preset", config.preset)} | meta.get("config", {})
+        for flag, began, ours in changed_flags(recorded, config):
+            if flag not in ("steps", "out", "overwrite"):
+                raise UserError(f"{folder} was started with {flag} {began}, not {ours}; give that, or another --out")
         for other in other_skills(meta, bank):
             raise UserError(f"{folder} was started over another {other}; give its folder, or another --out")
         if not {"curriculum.level", "normalizer.count"} <= arrays.keys():

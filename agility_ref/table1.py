@@ -115,9 +115,8 @@ def seeds_with_weights(policy: str, training: TrainConfig) -> tuple[int, ...]:
     found = []
     for name in acting_policies(policy):
         own = {path.parent.name for path in (training.root / name).glob("seed*/DONE")}
-        own = {folder for folder in own if folder.removeprefix("seed").isdecimal()}
-        shipped = {path.stem.rpartition("-")[2] for path in weights.FOLDER.glob(f"{name}-{training.preset}-seed*.npz")}
-        found.append({int(seed.removeprefix("seed")) for seed in own | shipped})
+        own = {int(seed) for folder in own if (seed := folder.removeprefix("seed")).isdecimal()}
+        found.append(own.union(weights.shipped_seeds(training.preset, name)))
     return tuple(sorted(set.intersection(*found))) or (0,)
 
 

@@ -48,8 +48,8 @@ class VideoConfig:
     """Of WebP and MP4, 1 to 100."""
 
 
-def check_video(out: Path, config: VideoConfig) -> None:
-    """Refuse what cannot be filmed, before it is played.
+def check_video(config: VideoConfig, out: Path | None = None) -> None:
+    """Refuse what cannot be filmed, or not to this file, before it is played.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def check_video(out: Path, config: VideoConfig) -> None:
         raise UserError(f"start must be at least 0, got {config.start}")
     if not 1 <= config.quality <= 100:
         raise UserError(f"quality must be between 1 and 100, got {config.quality}")
-    if out.suffix not in (".webp", ".gif", ".mp4"):
+    if out is not None and out.suffix not in (".webp", ".gif", ".mp4"):
         raise UserError(f"a video ends in .webp, .gif or .mp4, not {out.suffix or out.name!r}")
 
 
@@ -81,7 +81,13 @@ def open_renderer(model: mujoco.MjModel, config: VideoConfig) -> mujoco.Renderer
 
 
 def frames(episode: Episode, config: VideoConfig = VideoConfig()) -> Iterator[np.ndarray]:
-    """Render the episode; yield images (height, width, 3) uint8."""
+    """Render the episode; yield images (height, width, 3) uint8.
+
+    Raises
+    ------
+    UserError : as check_video
+    """
+    check_video(config)
     model = make_scene(episode.course)
     data = mujoco.MjData(model)
     camera = mujoco.MjvCamera()
@@ -134,7 +140,7 @@ def write_video(images: Iterator[np.ndarray], out: Path, config: VideoConfig, co
     UserError : as check_video, no image, or .mp4 without imageio-ffmpeg
     """
     out = Path(out)
-    check_video(out, config)
+    check_video(config, out)
     first = next(images, None)
     if first is None:
         raise UserError("nothing to film: --start lies behind the end of the episode")

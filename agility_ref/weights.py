@@ -29,6 +29,12 @@ def file_name(preset: str, policy: str, seed: int) -> str:
     return f"{find_policy(policy).name}-{preset}-seed{seed}.npz"
 
 
+def shipped_seeds(preset: str, policy: str) -> list[int]:
+    """Return the training seeds that a policy ships with."""
+    files = FOLDER.glob(f"{find_policy(policy).name}-{preset}-seed*.npz")
+    return sorted(int(file.stem.rpartition("-seed")[2]) for file in files)
+
+
 def manifest(folder: Path = FOLDER) -> dict[str, dict]:
     """Read the manifest: file name -> digest and training record.
 

@@ -11,7 +11,6 @@ is collected into ``<out>/ablations-<preset>.csv``, ``.png`` and ``.svg`` and pr
 """
 
 import csv
-import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -30,7 +29,7 @@ from learning import (
 )
 
 from agility_ref import checkpoint
-from agility_ref.bank import TrainConfig, as_flags, run_folder
+from agility_ref.bank import TrainConfig, changed_flags, run_folder
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError, unknown_name
 from agility_ref.plots import CYCLE, save_figure, style
@@ -142,8 +141,7 @@ def load(folder: Path, recipe: TrainConfig) -> Trained | None:
     if not (folder / "DONE").exists():
         return None
     arrays, meta = checkpoint.load(folder / "policy.npz")
-    began, now = as_flags(meta["config"]), as_flags(json.loads(json.dumps(asdict(recipe))))
-    if any(began.get(flag, ours) != ours for flag, ours in now.items()):  # a flag that is newer had its default
+    if changed_flags(meta["config"], recipe):
         raise UserError(f"{folder} was trained by another recipe: move it away, or choose another --runs")
     curve = []
     if (folder / "curve.csv").exists():  # a warm start is not evaluated

@@ -217,6 +217,7 @@ print(f"that took {time.perf_counter() - STARTED:.0f} s")
 
 # %% [markdown]
 # **Predict, then run.**  Give the bank one specialist less, before the oracle is made: `skills.pop("climb-down")`, with
-# `climb-up` in its place: `selector.SUBSTITUTE["climb-down"] = "climb-up"`, after `from agility_ref import selector`.  On which terrains does the bank lose, and does the generalist notice?
+# `climb-up` in its place: `selector.SUBSTITUTE["climb-down"] = "climb-up"`, after `from agility_ref import selector`.
+# On which terrains does the bank lose, and does the generalist notice?
 #
 # `make table1` is this comparison for 11 policies, with every number's interval, beside the paper's.
