@@ -1,7 +1,9 @@
 """One generalist policy, or a bank of specialists?  A small, readable reproduction.
 
-Start at :mod:`agility_ref.terrain`.  The README lists all modules in reading order: each imports
-only from those before it.
+The files of this folder are the paper, in the order terrain, world, go1, simulation, rewards,
+observation, env, curriculum, policy, networks, ppo, selector, evaluate: each imports only from
+those before it (and from errors and stats).  Four rooms hold the rest, each of which imports
+only from the core and the rooms before it: training, pictures, results, cli.
 """
 
 import os

@@ -2,6 +2,6 @@
 
 import sys
 
-from agility_ref.cli import main
+from agility_ref.cli.main import main
 
 sys.exit(main())

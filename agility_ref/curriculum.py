@@ -4,6 +4,8 @@ Paper section 4.2: "Curriculum is crucial for the robot to learn anything."  The
 the game-like one of Extreme Parkour with the waypoint fraction as the score: up a level
 after a good episode, two after a completed course, down after a bad one.
 
+A :class:`Preset` names the hardest course of a run, in training and in evaluation.
+
 In:  the waypoint fraction of the episodes that ended.
 Out: the index of each robot's next course in the :class:`~agility_ref.world.World`.
 """
@@ -12,8 +14,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agility_ref.errors import unknown_name
 from agility_ref.terrain import EASIEST, make_course
 from agility_ref.world import World
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A scale at which the whole table can be trained."""
+
+    name: str
+    max_difficulty: float
+    """Hardest difficulty in training, and the top of the range in evaluation."""
+
+
+PRESETS = {"quick": Preset("quick", 0.4), "full": Preset("full", 1.0)}
+
+
+def find_preset(name: str) -> Preset:
+    """Look a preset up.
+
+    Raises
+    ------
+    UserError : no such preset
+    """
+    if name not in PRESETS:
+        raise unknown_name("preset", name, PRESETS)
+    return PRESETS[name]
 
 
 @dataclass(frozen=True)

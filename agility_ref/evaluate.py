@@ -7,7 +7,7 @@ complete      Every policy plays the same courses from the same starts with the 
               noise and pushes, one **complete** episode a course.  Policies are compared
               episode by episode.
 as-published  Counts as the evaluator of Extreme Parkour does, on which the paper stands; see
-              :mod:`agility_ref.published` for what of it is reproduced and what is not.
+              :mod:`agility_ref.results.published` for what of it is reproduced and what is not.
 
 In:  a policy (:class:`~agility_ref.selector.Single` or ``Hierarchy``) and an environment.
 Out: :class:`Evaluation`, one number per episode and metric.
@@ -20,12 +20,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from agility_ref.env import Go1Env
+from agility_ref.curriculum import find_preset
+from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError, unknown_name
-from agility_ref.policies import find_preset
-from agility_ref.published import PUBLISHED_EPISODES, as_published
 from agility_ref.selector import Hierarchy, Single
-from agility_ref.task import EnvConfig
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, make_course
 from agility_ref.world import World
 
@@ -94,7 +92,7 @@ def switches_per_second(skill: np.ndarray, dt: float) -> np.ndarray:
 def commonest_share(skill: np.ndarray) -> np.ndarray:
     """Share of each episode's steps that its own commonest skill took: (T, N) -> (N,).
 
-    A course of one obstacle may rightly be played by one skill; :func:`agility_ref.diagnosis.commonest`
+    A course of one obstacle may rightly be played by one skill; :func:`agility_ref.results.diagnosis.commonest`
     pools all episodes.
     """
     counts = np.stack([(skill == k).sum(axis=0) for k in range(skill.max() + 1)])
@@ -244,29 +242,32 @@ def evaluate(
     config: EvaluationConfig = EvaluationConfig(),
     env_config: EnvConfig = EnvConfig(),
 ) -> Evaluation:
-    """Play the deterministic policy on every course and measure it by the protocol of ``config``."""
+    """Play the deterministic policy on every course, one complete episode each, and measure it.
+
+    Raises
+    ------
+    ValueError : another protocol; :func:`agility_ref.results.published.evaluate_by_protocol` has both
+    """
+    if config.protocol != "complete":
+        raise ValueError(f"evaluate plays complete episodes, not {config.protocol}")
     env = evaluation_env(environment, config, env_config)
-    if config.protocol == "as-published":
-        steps = round(PUBLISHED_EPISODES * env.max_steps)
-        r = rollout(policy, env, config.seed, lambda done: len(done) >= steps)
-        measured = as_published(r["reward"], r["waypoints"], r["edge"], r["done"])
-        step, robot = measured.pop("ends").T
-        fell, difficulty, skill, oracle = r["terminated"][step, robot], env.world.difficulties[robot], None, None
-    else:
-        r = rollout(policy, env, config.seed)
-        alive = in_first_episode(r["done"])
-        measured = {
-            "reward": reward_metric(r["reward"], alive),
-            "episode_length": episode_length(alive),
-            "waypoint_fraction": waypoint_fraction(r["waypoints"], alive),
-            "edge_violation": edge_violation(r["edge"], alive),
-        }
-        fell, difficulty = (r["terminated"] & alive).any(axis=0), env.world.difficulties
-        skill, oracle = (np.where(alive, r[k], -1) if k in r else None for k in ("skill", "oracle"))
+    r = rollout(policy, env, config.seed)
+    alive = in_first_episode(r["done"])
+    skill, oracle = (np.where(alive, r[k], -1) if k in r else None for k in ("skill", "oracle"))
     return Evaluation(
-        policy.name, environment, config, **measured,
-        fell=fell, difficulty=difficulty, skill=skill, oracle=oracle, dt=env.config.dt,
-    )  # fmt: skip
+        policy.name,
+        environment,
+        config,
+        reward=reward_metric(r["reward"], alive),
+        episode_length=episode_length(alive),
+        waypoint_fraction=waypoint_fraction(r["waypoints"], alive),
+        edge_violation=edge_violation(r["edge"], alive),
+        fell=(r["terminated"] & alive).any(axis=0),
+        difficulty=env.world.difficulties,
+        skill=skill,
+        oracle=oracle,
+        dt=env.config.dt,
+    )
 
 
 def first_episodes(done: list[np.ndarray]) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from agility_ref.checkpoint import CLIP, VAR_FLOOR
+from agility_ref.policy import CLIP, VAR_FLOOR
 
 LOG_2PI = float(np.log(2 * np.pi))
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from agility_ref.checkpoint import Policy
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.observation import OBS_DIM, SCANDOT_STD, SCANDOTS
+from agility_ref.policy import Policy
 from agility_ref.terrain import SKILLS
 
 Chooser = Callable[[np.ndarray, Go1Env], np.ndarray]

@@ -28,13 +28,15 @@ from learning import (
     tell,
 )
 
-from agility_ref import checkpoint
-from agility_ref.bank import TrainConfig, changed_flags, run_folder
+from agility_ref.curriculum import find_preset
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError, unknown_name
-from agility_ref.plots import CYCLE, save_figure, style
-from agility_ref.policies import find_policy, find_preset, requirements
-from agility_ref.progress import write_csv, write_text
+from agility_ref.pictures.plots import CYCLE, save_figure, style
+from agility_ref.policy import read_npz, write_npz
+from agility_ref.training.bank import changed_flags, run_folder
+from agility_ref.training.policies import find_policy, requirements
+from agility_ref.training.progress import versions, write_csv, write_text
+from agility_ref.training.runs import TrainConfig
 
 COLUMNS = ("ablation", "policy", "seed", "steps", "waypoint_fraction", "falls", "level")
 
@@ -123,9 +125,9 @@ def save(folder: Path, name: str, recipe: TrainConfig, trained: Trained) -> None
     meta = {
         "policy": name, "preset": recipe.preset, "seed": recipe.seed, "steps": trained.steps,
         "courses": find_policy(name).courses, "act_dim": ACTION_DIM, "obs_dim": recipe.env.obs_dim,
-        "versions": checkpoint.versions(), "wall_seconds": trained.seconds, "config": asdict(recipe),
+        "versions": versions(), "wall_seconds": trained.seconds, "config": asdict(recipe),
     }  # fmt: skip
-    checkpoint.save(folder / "policy.npz", trained.arrays, meta)
+    write_npz(folder / "policy.npz", trained.arrays, meta)
     if trained.curve:
         write_csv(folder / "curve.csv", trained.curve)
     write_text(folder / "DONE", f"{trained.steps} steps\n")
@@ -140,7 +142,7 @@ def load(folder: Path, recipe: TrainConfig) -> Trained | None:
     """
     if not (folder / "DONE").exists():
         return None
-    arrays, meta = checkpoint.load(folder / "policy.npz")
+    arrays, meta = read_npz(folder / "policy.npz")
     if changed_flags(meta["config"], recipe):
         raise UserError(f"{folder} was trained by another recipe: move it away, or choose another --runs")
     curve = []

@@ -14,14 +14,14 @@ import numpy as np
 from common import machine, report, start
 from learning import tell
 
-from agility_ref.bank import TrainConfig, load_policy
-from agility_ref.env import Go1Env
+from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.evaluate import EvaluationConfig, check_evaluation, in_first_episode, rollout, waypoint_fraction
-from agility_ref.policies import find_policy
 from agility_ref.selector import Hierarchy
 from agility_ref.stats import paired_difference
-from agility_ref.task import EnvConfig
 from agility_ref.terrain import islands
+from agility_ref.training.bank import load_policy
+from agility_ref.training.policies import find_policy
+from agility_ref.training.runs import TrainConfig
 from agility_ref.world import World
 
 CLIMB_GAP = "ugudgd"

@@ -19,8 +19,7 @@ from importlib import metadata
 from multiprocessing import get_context
 from types import ModuleType
 
-from agility_ref.env import Go1Env  # first: it sets OMP_WAIT_POLICY
-from agility_ref.task import EnvConfig
+from agility_ref.env import EnvConfig, Go1Env
 
 # isort: split
 import mujoco
@@ -28,14 +27,13 @@ import numpy as np
 import tyro
 from mujoco import batch
 
-from agility_ref.checkpoint import processor
-from agility_ref.curriculum import Curriculum, CurriculumConfig, training_world
+from agility_ref.curriculum import PRESETS, Curriculum, CurriculumConfig, training_world
+from agility_ref.env import TRAINING
 from agility_ref.errors import UserError
 from agility_ref.go1 import DEFAULT_DOF_POS, STAND_HEIGHT, PhysicsConfig, make_model, make_xml
-from agility_ref.placement import Placement
-from agility_ref.policies import PRESETS
-from agility_ref.task import TRAINING
+from agility_ref.simulation import Placement
 from agility_ref.terrain import CELL, COURSE_KINDS, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, Box, Course, make_course
+from agility_ref.training.progress import processor
 from agility_ref.world import height_map
 
 # ---------------------------------------------------------------------------- time

@@ -26,10 +26,9 @@ from common import (
     trot,
 )
 
-from agility_ref.checkpoint import Policy
-from agility_ref.env import Go1Env
+from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS
-from agility_ref.task import EnvConfig
+from agility_ref.policy import Policy
 from agility_ref.world import World
 
 

@@ -22,16 +22,17 @@ from physics import Candidate, candidates
 from tyro.conf import Positional
 
 from agility_ref import go1
-from agility_ref.bank import TrainConfig, run_folder
-from agility_ref.checkpoint import Policy
+from agility_ref.env import TRAINING, EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluate
 from agility_ref.go1 import PhysicsConfig
 from agility_ref.observation import OBS_DIM
-from agility_ref.runs import train_policy
+from agility_ref.pictures.plots import learning_curve
+from agility_ref.policy import Policy
 from agility_ref.selector import Single
 from agility_ref.stats import bootstrap_interval, paired_difference, wilson_interval
-from agility_ref.task import TRAINING, EnvConfig
+from agility_ref.training.bank import run_folder
+from agility_ref.training.runs import TrainConfig, train_policy
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def train_under(candidate: Candidate, config: Config) -> list[Path]:
     with edited(candidate):
         for name, folder in zip(config.policies, folders, strict=True):
             if not (folder / "DONE").exists():
-                train_policy(name, recipe)
+                train_policy(name, recipe, draw=learning_curve)
     return [folder / "policy.npz" for folder in folders]
 
 

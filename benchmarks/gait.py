@@ -4,7 +4,7 @@
 
 Plays level ground with noise and pushes and measures, after two seconds: the share of the
 time that each foot stands, the height of its swings, how often it swings, and how often
-anything but a foot touches the ground.  tests/test_gait.py holds the shipped walk to bounds.
+anything but a foot touches the ground.  tests/pictures/test_gait.py holds the shipped walk to bounds.
 """
 
 from dataclasses import asdict, dataclass
@@ -13,10 +13,11 @@ import numpy as np
 import tyro
 from common import machine, report, start
 
-from agility_ref.bank import TrainConfig, load_policy
 from agility_ref.evaluate import EvaluationConfig
-from agility_ref.gait import measure
-from agility_ref.record import record
+from agility_ref.pictures.gait import measure
+from agility_ref.pictures.record import record
+from agility_ref.training.bank import load_policy
+from agility_ref.training.runs import TrainConfig
 
 
 @dataclass(frozen=True)

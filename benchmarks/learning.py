@@ -16,19 +16,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agility_ref.bank import TrainConfig
-from agility_ref.checkpoint import Policy
-from agility_ref.env import ACTION_DIM
+from agility_ref.env import ACTION_DIM, EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluate
-from agility_ref.learner import Learner
 from agility_ref.observation import SCANDOTS
-from agility_ref.plots import band, new_figure, style
-from agility_ref.policies import find_policy, requirements
-from agility_ref.ppo import train
-from agility_ref.runs import make_env
+from agility_ref.pictures.plots import band, new_figure, style
+from agility_ref.policy import Policy
+from agility_ref.ppo import Learner, train
 from agility_ref.selector import Single
-from agility_ref.task import EnvConfig
+from agility_ref.training.policies import find_policy, requirements
+from agility_ref.training.runs import TrainConfig, make_env
 
 CURVE_COLUMNS = ("steps", "seconds", "waypoint_fraction", "falls", "level")
 Judge = Callable[[Policy], dict[str, float]]

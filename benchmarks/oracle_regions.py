@@ -14,13 +14,14 @@ from unittest.mock import patch
 import numpy as np
 from common import machine, report, start
 
-from agility_ref import trace, world
-from agility_ref.bank import TrainConfig, load_policy
-from agility_ref.curriculum import CurriculumConfig, training_world
+from agility_ref import world
+from agility_ref.curriculum import CurriculumConfig, find_preset, training_world
 from agility_ref.env import Go1Env
-from agility_ref.policies import find_preset
+from agility_ref.pictures.record import play_trace
 from agility_ref.selector import Hierarchy
 from agility_ref.stats import paired_difference
+from agility_ref.training.bank import load_policy
+from agility_ref.training.runs import TrainConfig
 
 KINDS = {  # skill -> the courses that need it
     "climb-up": ("climb-up", "climb", "climb-gap"),
@@ -67,7 +68,7 @@ def play(oracle: Hierarchy, courses: world.World, skill: str, lead: float, tail:
     with patch.dict(world.LEAD, {skill: lead}), patch.dict(world.TAIL, {skill: tail}):
         courses.regions = np.stack([world.region_map(course) for course in courses.courses])
     env = Go1Env(courses, len(courses), next_course=lambda ids, fraction: ids, seed=seed)
-    return trace.play(oracle, env, skill, seed).waypoint_fraction
+    return play_trace(oracle, env, skill, seed).waypoint_fraction
 
 
 def choose(oracle: Hierarchy, skill: str, config: Config) -> dict:

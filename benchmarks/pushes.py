@@ -15,8 +15,7 @@ import numpy as np
 from common import machine, report, start
 from learning import check_skill, tell
 
-from agility_ref.bank import TrainConfig, load_policy
-from agility_ref.env import Go1Env
+from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.evaluate import (
     EvaluationConfig,
     check_evaluation,
@@ -26,10 +25,11 @@ from agility_ref.evaluate import (
     rollout,
     waypoint_fraction,
 )
-from agility_ref.policies import find_policy
 from agility_ref.selector import Single
 from agility_ref.stats import paired_difference
-from agility_ref.task import EnvConfig
+from agility_ref.training.bank import load_policy
+from agility_ref.training.policies import find_policy
+from agility_ref.training.runs import TrainConfig
 
 PUSHES = {"none": 0.0, "on the ground": EnvConfig().push_interval, "anywhere": EnvConfig().push_interval}
 

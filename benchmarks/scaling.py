@@ -12,9 +12,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from common import available_cores, in_fresh_process, machine, mixed_courses, peak_memory, report, start, trot
 
-from agility_ref.env import Go1Env
+from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS
-from agility_ref.task import EnvConfig
 from agility_ref.world import World
 
 

@@ -25,11 +25,12 @@ from learning import (
     tell,
 )
 
-from agility_ref.bank import TrainConfig
+from agility_ref.curriculum import find_preset
 from agility_ref.errors import UserError
-from agility_ref.plots import BLUE, GREY, save_figure, style
-from agility_ref.policies import find_policy, find_preset
-from agility_ref.progress import write_csv
+from agility_ref.pictures.plots import BLUE, GREY, save_figure, style
+from agility_ref.training.policies import find_policy
+from agility_ref.training.progress import write_csv
+from agility_ref.training.runs import TrainConfig
 
 
 @dataclass(frozen=True)

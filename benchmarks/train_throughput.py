@@ -13,12 +13,10 @@ import numpy as np
 import torch
 from common import Taped, alternate, available_cores, machine, ratio, report, show, start, walk_training
 
-from agility_ref.checkpoint import Policy
 from agility_ref.env import ACTION_DIM, Go1Env
-from agility_ref.learner import Learner
 from agility_ref.observation import OBS_DIM, SCANDOTS
-from agility_ref.policies import PPOConfig
-from agility_ref.ppo import collect, train, update
+from agility_ref.policy import Policy
+from agility_ref.ppo import Learner, PPOConfig, collect, train, update
 
 
 @dataclass(frozen=True)

@@ -27,9 +27,8 @@ from common import (
     trot,
 )
 
-from agility_ref.env import Go1Env
+from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS, PhysicsConfig
-from agility_ref.task import EnvConfig
 from agility_ref.world import World
 
 TASKS = {"flat": "Go1JoystickFlatTerrain-v1", "rough": "Go1JoystickRoughTerrain-v1"}

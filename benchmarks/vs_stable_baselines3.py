@@ -22,10 +22,8 @@ import torch
 from common import available_cores, machine, report, require, start, walk_training
 
 from agility_ref.env import ACTION_DIM, Go1Env
-from agility_ref.learner import Learner
 from agility_ref.observation import OBS_DIM, SCANDOTS
-from agility_ref.policies import PPOConfig
-from agility_ref.ppo import train
+from agility_ref.ppo import Learner, PPOConfig, train
 from agility_ref.terrain import NUM_WAYPOINTS
 
 

@@ -6,12 +6,10 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 import pytest
 
-from agility_ref import checkpoint  # before any test imports numpy, see agility_ref/__init__.py
-from agility_ref.checkpoint import Policy
 from agility_ref.env import ACTION_DIM
-from agility_ref.learner import Learner
 from agility_ref.observation import OBS_DIM, SCANDOTS
-from agility_ref.policies import PPOConfig
+from agility_ref.policy import Policy, write_npz
+from agility_ref.ppo import Learner, PPOConfig
 
 SKILLS = ("walk", "climb-up", "climb-down", "leap", "beam")
 
@@ -42,7 +40,7 @@ def finished_run():
     def make(root, name, seed=0, gain=100.0, obs_dim=OBS_DIM, act_dim=ACTION_DIM, steps=1000, preset="full", **meta):
         folder = root / name / f"seed{seed}"
         meta = {"policy": name, "preset": preset, "act_dim": act_dim, "obs_dim": obs_dim, "steps": steps, **meta}
-        checkpoint.save(folder / "policy.npz", random_arrays(sum(map(ord, name)), obs_dim, act_dim, gain), meta)
+        write_npz(folder / "policy.npz", random_arrays(sum(map(ord, name)), obs_dim, act_dim, gain), meta)
         (folder / "DONE").write_text(f"{steps} steps\n")
         return folder
 

@@ -24,18 +24,20 @@ import skills_table
 import time_to_skill
 import time_to_walk
 
-from agility_ref import checkpoint, findings, go1
-from agility_ref.bank import TrainConfig
+from agility_ref import go1
 from agility_ref.curriculum import CurriculumConfig
+from agility_ref.env import EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import Evaluation, EvaluationConfig
-from agility_ref.evidence import read_ablations
 from agility_ref.observation import OBS_DIM
-from agility_ref.policies import POLICIES, PPOConfig
-from agility_ref.runs import train_policy
+from agility_ref.policy import read_npz
+from agility_ref.ppo import PPOConfig
+from agility_ref.results import findings
+from agility_ref.results.findings import read_ablations
 from agility_ref.selector import Single, oracle_hierarchy
-from agility_ref.task import EnvConfig
 from agility_ref.terrain import make_course
+from agility_ref.training.policies import POLICIES
+from agility_ref.training.runs import TrainConfig, train_policy
 from agility_ref.world import World
 
 TINY = {
@@ -48,11 +50,11 @@ TINY = {
 @pytest.fixture
 def tiny(monkeypatch):
     """Make every training a tiny one, and every warm start one of 64 steps."""
-    monkeypatch.setattr("agility_ref.weights.shipped", lambda *key: None)
+    monkeypatch.setattr("agility_ref.training.weights.shipped", lambda *key: None)
     for module in (time_to_skill, ablations):
         monkeypatch.setattr(module, "TrainConfig", lambda **given: TrainConfig(**TINY | given))
     small = {name: replace(spec, budget=(64, 64)) for name, spec in POLICIES.items()}
-    monkeypatch.setattr("agility_ref.policies.POLICIES", small)
+    monkeypatch.setattr("agility_ref.training.policies.POLICIES", small)
 
 
 def fixed_judge(*fractions):
@@ -82,7 +84,7 @@ def test_it_is_the_training_of_the_command_line(tiny, tmp_path):
     """Same weights to the last bit, whatever is evaluated on the way."""
     config = TrainConfig(**TINY, out=str(tmp_path), seed=3)
     train_policy("walk", replace(config, steps=64), quiet=True)
-    expected, meta = checkpoint.load(train_policy("leap", replace(config, steps=160), quiet=True) / "policy.npz")
+    expected, meta = read_npz(train_policy("leap", replace(config, steps=160), quiet=True) / "policy.npz")
     walk = learning.learn("walk", config, 64)
     leap = learning.learn("leap", config, 160, learning.own_courses("leap", "quick", 1), 32, start=walk)
     assert leap.steps == meta["steps"] == 160
@@ -207,7 +209,7 @@ def test_fidelity_trains_under_a_candidate_once_and_plays_both_physics(tiny, tmp
     monkeypatch.setattr(fidelity, "train_policy", None)  # the second time there is nothing to train
     fidelity.main(config)
     assert json.loads(capsys.readouterr().out)["fidelity"] == first
-    _, meta = checkpoint.load(tmp_path / "5-ms-x-4" / "walk" / "seed0" / "policy.npz")
+    _, meta = read_npz(tmp_path / "5-ms-x-4" / "walk" / "seed0" / "policy.npz")
     assert meta["config"]["env"]["physics"]["timestep"] == 0.005
     assert first[0]["candidate"] == "5 ms x 4" and 0.0 <= first[0]["waypoint_fraction"] <= 1.0
 

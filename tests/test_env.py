@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agility_ref.env import ACTION_DIM, Go1Env
+from agility_ref.env import ACTION_DIM, TRAINING, EnvConfig, Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS, STAND_HEIGHT
 from agility_ref.observation import (
     NUM_SCANDOTS,
@@ -17,7 +17,6 @@ from agility_ref.observation import (
     wrap,
 )
 from agility_ref.rewards import compute_reward
-from agility_ref.task import TRAINING, EnvConfig
 from agility_ref.terrain import CELL, COURSE_KINDS, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, make_course
 from agility_ref.world import World
 

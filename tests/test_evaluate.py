@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from agility_ref import evaluate as evaluation_module
-from agility_ref.env import Go1Env
+from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError
 from agility_ref.evaluate import (
     METRICS,
@@ -23,10 +23,9 @@ from agility_ref.evaluate import (
     waypoint_fraction,
 )
 from agility_ref.observation import observation_slices
-from agility_ref.policies import ENVIRONMENTS
 from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
-from agility_ref.task import EnvConfig
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, SKILLS
+from agility_ref.training.policies import ENVIRONMENTS
 
 SHORT = EnvConfig(episode_seconds=0.6)  # 30 steps
 FEW = EvaluationConfig(episodes=3, seed=1)

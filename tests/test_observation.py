@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agility_ref.env import Go1Env
+from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS
 from agility_ref.observation import (
     MIRROR_ACTION_INDEX,
@@ -20,7 +20,6 @@ from agility_ref.observation import (
     observation_slices,
     sight,
 )
-from agility_ref.task import EnvConfig
 from agility_ref.terrain import make_course
 from agility_ref.world import World
 

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 import torch
 
-from agility_ref.learner import Learner
 from agility_ref.networks import Categorical, Gaussian
 from agility_ref.observation import OBS_DIM
-from agility_ref.policies import PPOConfig
 from agility_ref.ppo import (
     Batch,
+    Learner,
+    PPOConfig,
     Rollout,
     adapt_learning_rate,
     collect,

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from agility_ref.checkpoint import Policy
-from agility_ref.env import ACTION_DIM, Go1Env
+from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
+from agility_ref.policy import Policy
 from agility_ref.selector import (
     Hierarchy,
     SelectorConfig,
@@ -17,7 +17,6 @@ from agility_ref.selector import (
     skill_labels,
     visit,
 )
-from agility_ref.task import EnvConfig
 from agility_ref.terrain import SKILLS, make_course
 from agility_ref.world import World
 

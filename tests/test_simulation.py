@@ -1,9 +1,11 @@
+import mujoco
 import numpy as np
 import pytest
+from mujoco import batch
 
-from agility_ref.go1 import DEFAULT_DOF_POS, PhysicsConfig
-from agility_ref.simulation import Simulation
-from agility_ref.terrain import make_course
+from agility_ref.go1 import DEFAULT_DOF_POS, PhysicsConfig, make_model
+from agility_ref.simulation import Placement, Simulation, bounding_volumes
+from agility_ref.terrain import COURSE_KINDS, make_course
 
 CONDITIONS = [(1.0, 0.0), (0.6, 2.0)]  # friction, payload [kg]
 
@@ -66,3 +68,73 @@ def test_diverged_simulations_are_reported_once(simulation):
     assert simulation.errors == 1
     start(simulation, np.array([1]), np.array([0]))
     assert not simulation.step(2).any()
+
+
+@pytest.fixture(scope="module")
+def models():
+    courses = [make_course(kind, 0.7, seed) for seed, kind in enumerate(COURSE_KINDS)]
+    num_boxes = max(len(course.boxes) for course in courses)
+    return [
+        make_model(course, num_boxes=num_boxes, friction=0.6 + 0.1 * k, payload=0.3 * k)
+        for k, course in enumerate(courses)
+    ]
+
+
+def simulations(models):
+    made = batch.Batch(models[0], len(models))
+    made.reset(keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE)
+    return made
+
+
+def run(made, steps=60):
+    """Let the robots trot on the spot towards +x; return all states."""
+    rng, ctrl, states = np.random.default_rng(0), made.bind("ctrl"), []
+    made.bind("qvel")[:, 0] = 1.5
+    for _ in range(steps):
+        ctrl[:] = DEFAULT_DOF_POS + rng.normal(0.0, 0.3, ctrl.shape)
+        made.step(nstep=2)
+        states.append(made.state.copy())
+    return np.array(states)
+
+
+def test_same_bits_as_a_model_a_course(models):
+    own, shared = simulations(models), simulations(models)
+    own.set_models(models)
+    Placement(shared, models).place(np.arange(len(models)), np.arange(len(models)))
+    np.testing.assert_array_equal(run(own), run(shared))
+
+
+def test_a_robot_can_move_to_another_course(models):
+    own, shared = simulations(models), simulations(models)
+    order = np.roll(np.arange(len(models)), 1)
+    own.set_models([models[k] for k in order])
+    placement = Placement(shared, models)
+    placement.place(np.arange(len(models)), np.arange(len(models)))
+    for robot in reversed(range(len(models))):
+        placement.place(np.array([robot]), order[[robot]])
+    np.testing.assert_array_equal(run(own), run(shared))
+
+
+def test_one_course_needs_no_fields(models):
+    assert Placement(simulations(models[:1]), models[:1])._fields == []
+
+
+def test_the_compilers_own_tree_is_reproduced(models):
+    for model in models:
+        np.testing.assert_allclose(bounding_volumes(model, model), model.bvh_aabb, atol=1e-12)
+
+
+def test_volumes_hold_everything_below_them(models):
+    tree = models[0]
+    first, count = tree.body_bvhadr[0], tree.body_bvhnum[0]
+    for model in models:
+        volumes = bounding_volumes(tree, model)[first : first + count]
+        low, high = volumes[:, :3] - volumes[:, 3:], volumes[:, :3] + volumes[:, 3:]
+        for node in range(count):
+            geom, children = tree.bvh_nodeid[first + node], tree.bvh_child[first + node]
+            below = [children] if geom < 0 else []
+            for inner in below:
+                assert (low[node] <= low[inner] + 1e-9).all() and (high[node] >= high[inner] - 1e-9).all()
+            if geom >= 0:
+                np.testing.assert_allclose(high[node] - low[node], 2 * model.geom_size[geom], atol=1e-9)
+                np.testing.assert_allclose((high[node] + low[node]) / 2, model.geom_pos[geom], atol=1e-9)

@@ -17,17 +17,7 @@ from agility_ref.terrain import (
     Obstacle,
     make_course,
 )
-from agility_ref.world import (
-    EDGE_MIN_DROP,
-    LEAD,
-    TAIL,
-    World,
-    edge_map,
-    height_map,
-    region_map,
-    scan_map,
-    support_map,
-)
+from agility_ref.world import EDGE_MIN_DROP, LEAD, TAIL, World, edge_map, height_map, region_map, scan_map, support_map
 
 INF = np.inf
 SEEDS = range(8)

@@ -18,10 +18,9 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
-from agility_ref.env import Go1Env
+from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.observation import SCANDOT_X, SCANDOT_Y, SCANDOTS, wrap
-from agility_ref.plots import BLUE, RED, SKILL_COLOURS, new_figure
-from agility_ref.task import EnvConfig
+from agility_ref.pictures.plots import BLUE, RED, SKILL_COLOURS, new_figure
 from agility_ref.terrain import (
     CELL,
     COURSE_KINDS,

@@ -13,7 +13,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from agility_ref.env import ACTION_DIM, Go1Env
+from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
 from agility_ref.go1 import (
     DEFAULT_DOF_POS,
     DOF_RANGE,
@@ -25,8 +25,7 @@ from agility_ref.go1 import (
     make_model,
 )
 from agility_ref.observation import OBS_DIM, OBSERVATION, observation_slices
-from agility_ref.plots import BLUE, GREEN, ORANGE, PURPLE, RED, new_figure
-from agility_ref.task import EnvConfig
+from agility_ref.pictures.plots import BLUE, GREEN, ORANGE, PURPLE, RED, new_figure
 from agility_ref.terrain import make_course
 from agility_ref.world import World
 

@@ -16,15 +16,16 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from agility_ref.bank import TrainConfig, load_policy, run_folder
-from agility_ref.checkpoint import load
+from agility_ref.curriculum import PRESETS
 from agility_ref.evaluate import EvaluationConfig, evaluate, evaluation_env
-from agility_ref.plots import BLUE, GREEN, ORANGE, RED, new_figure
-from agility_ref.policies import PRESETS, find_policy
+from agility_ref.pictures.plots import BLUE, GREEN, ORANGE, RED, learning_curve, new_figure
+from agility_ref.policy import read_npz
 from agility_ref.ppo import gae, policy_loss
-from agility_ref.progress import read_progress
-from agility_ref.runs import train_policy
 from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH
+from agility_ref.training.bank import load_policy, run_folder
+from agility_ref.training.policies import find_policy
+from agility_ref.training.progress import read_progress
+from agility_ref.training.runs import TrainConfig, train_policy
 
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
@@ -207,10 +208,10 @@ else:
     print(
         f"training walk for {budget / 1e6:.1f} million steps = {budget * config.env.dt / 3600:.1f} hours of one robot's life"
     )
-    train_policy("walk", config)
+    train_policy("walk", config, draw=learning_curve)
 
 progress = read_progress(folder / "progress.csv")
-_, record = load(folder / "policy.npz")
+_, record = read_npz(folder / "policy.npz")
 print(
     f"{progress['steps'][-1] / 1e6:.2f} million steps took {progress['wall_seconds'][-1] / 60:.1f} min "
     f"({np.median(progress['steps_per_second']):.0f} steps/s) on {record['versions']['machine']}"

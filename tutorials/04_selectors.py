@@ -16,14 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from agility_ref.bank import TrainConfig, load_bank, load_policy, weights_path
-from agility_ref.checkpoint import Policy
 from agility_ref.evaluate import EvaluationConfig, evaluate, evaluation_env, oracle_accuracy
-from agility_ref.plots import BLUE, ORANGE, new_figure
-from agility_ref.policies import find_policy
-from agility_ref.runs import make_env
+from agility_ref.pictures.plots import BLUE, ORANGE, new_figure
+from agility_ref.policy import Policy
 from agility_ref.selector import SupervisedConfig, collect_labels, fit_selector, oracle_hierarchy, selector_hierarchy
 from agility_ref.stats import paired_difference
+from agility_ref.training.bank import load_bank, load_policy, weights_path
+from agility_ref.training.policies import find_policy
+from agility_ref.training.runs import TrainConfig, make_env
 
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)

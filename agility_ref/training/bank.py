@@ -1,0 +1,208 @@
+"""Bank: where the weights of a policy lie, and policies loaded from there.
+
+In:  the name of a policy and a :class:`WeightsConfig`, which says the preset, the seed and the folder.
+Out: the policy, from the folder of its finished run or from the shipped weights, refused where it
+does not fit the task or its skills.
+"""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from agility_ref.curriculum import find_preset
+from agility_ref.env import ACTION_DIM, TRAINING, EnvConfig
+from agility_ref.errors import UserError
+from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
+from agility_ref.policy import Policy, read_npz
+from agility_ref.selector import (
+    Hierarchy,
+    Single,
+    oracle_hierarchy,
+    selector_hierarchy,
+)
+from agility_ref.training import weights
+from agility_ref.training.policies import find_policy
+
+
+@dataclass(frozen=True)
+class WeightsConfig:
+    """Which weights: all that loading a policy has to know."""
+
+    preset: str = "full"
+    """quick (d up to 0.4, small budgets) or full (d up to 1)."""
+    seed: int = 0
+    """Seed of courses, networks and exploration."""
+    out: str = ""
+    """Folder of runs; runs/<preset> by default."""
+    env: EnvConfig = TRAINING
+    """The task."""
+
+    @property
+    def root(self) -> Path:
+        """Folder that holds the runs."""
+        return Path(self.out or f"runs/{self.preset}")
+
+
+def existing(folder: str) -> str:
+    """Return a folder of runs that must be there; "" stands for the default, which need not be.
+
+    Raises
+    ------
+    UserError : there is no such folder
+    """
+    if folder and not Path(folder).is_dir():
+        raise UserError(f"no folder of runs at {folder}")
+    return folder
+
+
+def run_folder(root: Path, policy: str, seed: int) -> Path:
+    """Return the folder of one run."""
+    return Path(root) / find_policy(policy).name / f"seed{seed}"
+
+
+def find_weights(policy: str, config: WeightsConfig) -> Path | None:
+    """Find the weights of a policy: own runs first, then those shipped; None where neither exists.
+
+    Raises
+    ------
+    UserError : unknown policy or preset, a run of another preset, or settings or shipped weights that are damaged
+    """
+    find_preset(config.preset)
+    own = run_folder(config.root, policy, config.seed)
+    if not (own / "DONE").exists():
+        return weights.shipped(config.preset, policy, config.seed)
+    settings = own / "config.json"
+    try:
+        trained = json.loads(settings.read_text()).get("preset") if settings.exists() else config.preset
+    except (ValueError, AttributeError):
+        raise UserError(f"{settings} is damaged: it is to hold the settings of a run, as JSON") from None
+    if trained != config.preset:
+        raise UserError(f"{own} was trained under the preset {trained}, not {config.preset}")
+    return own / "policy.npz"
+
+
+def weights_path(policy: str, config: WeightsConfig) -> Path:
+    """Find the weights of a policy as :func:`find_weights` does.
+
+    Raises
+    ------
+    UserError : as there, or there are none; names the command that trains them
+    """
+    found = find_weights(policy, config)
+    if found:
+        return found
+    out = f" --out {config.out}" if config.out else ""
+    raise UserError(
+        f"no weights for {policy}, preset {config.preset}, seed {config.seed}; "
+        f"train them with: agility-ref train {policy} --preset {config.preset} --seed {config.seed}{out}"
+    )
+
+
+def load_policy(policy: str, config: WeightsConfig) -> Single | Hierarchy:
+    """Load a policy of Table 1, its skills included, ready to act."""
+    spec = find_policy(policy)
+    skills = load_bank(spec.skills, config)
+    if spec.method == "oracle":
+        return oracle_hierarchy(policy, skills)
+    if not skills:
+        return Single(policy, load_skill(weights_path(policy, config), config.env))
+    path = weights_path(policy, config)
+    own = Policy.load(path)
+    _check_shape(own, own.obs_dim if own.obs_dim in (OBS_DIM, NUM_SCANDOTS) else OBS_DIM, len(skills))
+    for name in other_skills(own.meta, digests(skills)):
+        raise UserError(
+            f"{path} was trained over another {name} than {weights_path(name, config)}; train it again, "
+            "or give another --runs"
+        )
+    return selector_hierarchy(policy, skills, own)
+
+
+def check_interface(source: Path, meta: dict, env: EnvConfig) -> None:
+    """Refuse a policy whose actions mean something else in ``env``.
+
+    Raises
+    ------
+    UserError : names the file and the field that differs
+    """
+    trained = as_flags(meta.get("config", {}).get("env", {}))
+    here = as_flags(asdict(env))
+    for field in ("action-scale", "action-limit", "action-repeat", "physics.kp", "physics.kd"):
+        theirs, ours = trained.get(field, here[field]), here[field]
+        if theirs != ours:
+            raise UserError(f"{source} was trained with env.{field} {theirs}, this task has {ours}")
+    steps = [f["physics.timestep"] * f["physics.substeps"] for f in (here | trained, here)]
+    if not np.isclose(*steps):
+        raise UserError(f"{source} was trained to act every {steps[0]:g} s, this task asks every {steps[1]:g} s")
+
+
+def as_flags(settings: dict, prefix: str = "") -> dict[str, object]:
+    """Name nested settings as the command line does: {"ppo": {"num_envs": 4}} is {"ppo.num-envs": 4}."""
+    flat = {}
+    for key, value in settings.items():
+        name = prefix + key.replace("_", "-")
+        flat |= as_flags(value, f"{name}.") if isinstance(value, dict) else {name: value}
+    return flat
+
+
+def changed_flags(recorded: dict, config: WeightsConfig) -> list[tuple[str, object, object]]:
+    """Return (flag, recorded, now) where the settings that a run recorded are not those of ``config``.
+
+    A flag that is newer than the record counts as unchanged.
+    """
+    began, now = as_flags(recorded), as_flags(json.loads(json.dumps(asdict(config))))
+    return [(flag, began[flag], ours) for flag, ours in now.items() if began.get(flag, ours) != ours]
+
+
+def load_bank(names: tuple[str, ...], config: WeightsConfig) -> dict[str, Policy]:
+    """Load frozen specialists, in the order given."""
+    return {name: load_skill(weights_path(name, config), config.env) for name in names}
+
+
+def bank_steps(names: tuple[str, ...], config: WeightsConfig) -> int:
+    """Environment steps spent on a bank of policies, a common warm start counted once.
+
+    Checkpoints count their warm start.  With s_k the steps of policy k and w_k those it started
+    from if its warm start is in the bank too (0 otherwise)::
+
+        steps = sum over k of (s_k - w_k)
+
+    Raises
+    ------
+    UserError : weights are missing or unreadable
+    """
+    records = {name: read_npz(weights_path(name, config))[1] for name in names}
+    shared = [records[name].get("start", 0) for name in names if find_policy(name).warm_start in names]
+    return sum(record["steps"] for record in records.values()) - sum(shared)
+
+
+def digests(skills: dict[str, Policy]) -> dict[str, str]:
+    """Name the very skills of a bank, as a selector records those it was trained over."""
+    return {name: skill.digest() for name, skill in skills.items()}
+
+
+def other_skills(meta: dict, bank: dict[str, str]) -> list[str]:
+    """Return the skills of a selector's checkpoint that are not those of a bank's :func:`digests`."""
+    return [name for name, digest in meta.get("skills", {}).items() if bank.get(name, digest) != digest]
+
+
+def load_skill(path: Path, env: EnvConfig) -> Policy:
+    """Load a policy that moves the joints, as ``env`` wants them moved.
+
+    Raises
+    ------
+    UserError : unreadable, a selector, trained with a clock or with actions that mean something else
+    """
+    policy = Policy.load(path)
+    _check_shape(policy, OBS_DIM, ACTION_DIM)
+    check_interface(path, policy.meta, env)
+    return policy
+
+
+def _check_shape(policy: Policy, obs_dim: int, act_dim: int) -> None:
+    outputs = len(policy.layers[-1][1])
+    if (policy.obs_dim, outputs) != (obs_dim, act_dim):
+        raise UserError(
+            f"{policy.name}: network is {policy.obs_dim} -> {outputs}, this environment needs {obs_dim} -> {act_dim}"
+        )

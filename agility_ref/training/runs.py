@@ -1,0 +1,301 @@
+"""Runs: train one named policy into one folder, resumably.
+
+    <out>/<policy>/seed<k>/  config.json  progress.csv  policy.npz  learning_curve.png  DONE
+
+Files are written under a temporary name and renamed (progress.csv grows a row at a time), DONE last.  A run of PPO that
+was stopped goes on from its folder, the short ones that imitate start anew; a finished one is never overwritten unless
+told to.
+
+In:  the name of a policy, a preset and a seed.
+Out: the folder, from which :mod:`agility_ref.training.bank` loads the policy.
+"""
+
+import json
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from agility_ref.curriculum import Curriculum, CurriculumConfig, find_preset, training_world
+from agility_ref.env import ACTION_DIM, Go1Env
+from agility_ref.errors import UserError
+from agility_ref.networks import Categorical, Gaussian
+from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS, sight
+from agility_ref.policy import Policy, read_npz, write_npz
+from agility_ref.ppo import Learner, PPOConfig, train
+from agility_ref.selector import (
+    SelectorConfig,
+    SelectorEnv,
+    Single,
+    SupervisedConfig,
+    collect_labels,
+    fit_selector,
+    oracle_hierarchy,
+    selector_hierarchy,
+)
+from agility_ref.training.bank import (
+    WeightsConfig,
+    changed_flags,
+    check_interface,
+    digests,
+    find_weights,
+    load_bank,
+    other_skills,
+    run_folder,
+    weights_path,
+)
+from agility_ref.training.distill import DistillConfig, FineTuneConfig, collect_actions, fit_student
+from agility_ref.training.limits import check_settings
+from agility_ref.training.policies import PolicySpec, find_policy, requirements
+from agility_ref.training.progress import ProgressLog, StopRequest, read_rows, versions, write_csv, write_text
+
+Draw = Callable[[Path, Path, str], object]
+"""(progress.csv, the picture to write, title) -> whatever."""
+
+
+@dataclass(frozen=True)
+class TrainConfig(WeightsConfig):
+    """One training run."""
+
+    steps: int = 0
+    """Environment steps, warm start included; 0 for the policy's budget."""
+    overwrite: bool = False
+    """Replace a finished run."""
+    warm_start: bool = True
+    """Start from the policy that the table of policies names; False for from scratch."""
+    warm_std: float = 0.5
+    """Exploration noise after a warm start; usual 0.3 to 0.8."""
+    sight: bool = True
+    """Let the trained policy see ground no higher or lower than its own courses show it; not for selectors and distilled policies."""
+    ppo: PPOConfig = PPOConfig()
+    """Hyper-parameters of PPO."""
+    curriculum: CurriculumConfig = CurriculumConfig()
+    """The levels."""
+    selector: SelectorConfig = SelectorConfig()
+    """Decisions of the learned selectors."""
+    supervised: SupervisedConfig = SupervisedConfig()
+    """Training of the supervised selector."""
+    distill: DistillConfig = DistillConfig()
+    """Training of the distilled policy."""
+    fine_tune: FineTuneConfig = FineTuneConfig()
+    """How PPO goes on from it."""
+
+
+def train_policy(name: str, config: TrainConfig, quiet: bool = False, draw: Draw | None = None) -> Path:
+    """Train one policy and everything it needs that is missing; return its folder.
+
+    Parameters
+    ----------
+    name : of the policy
+    config : the run
+    quiet : print nothing
+    draw : draws learning_curve.png, now and then and at the end: :func:`agility_ref.pictures.plots.learning_curve`
+
+    Raises
+    ------
+    UserError : unknown names, settings out of range, a finished run in the way
+    """
+    spec = find_policy(name)
+    find_preset(config.preset)
+    check_settings(spec, config)
+    if spec.method == "oracle":
+        raise UserError(
+            "the oracle needs no training: it reads the region map; train its skills: " + ", ".join(spec.skills)
+        )
+    if (config.env.gait_clock or config.ppo.mirror) and spec.method != "ppo":
+        raise UserError("env.gait-clock and ppo.mirror are for skills and generalists")
+    if config.env.gait_clock and config.ppo.mirror:
+        raise UserError("env.gait-clock does not go with ppo.mirror")
+    folder = run_folder(config.root, name, config.seed)
+    aside, replaces = folder.with_name(f"{folder.name}.old"), (folder / "DONE").exists()
+    if replaces:
+        if not config.overwrite:
+            raise UserError(f"{folder} holds a finished run; choose another --out, or --overwrite to replace it")
+        shutil.rmtree(aside, ignore_errors=True)
+        folder.rename(aside)  # until the new run is finished
+    try:
+        needs = requirements(name) if config.warm_start else spec.skills + spec.teachers
+        for other in needs:
+            if find_weights(other, config) is None:
+                train_policy(other, replace(config, steps=0, overwrite=False), quiet, draw)
+        folder.mkdir(parents=True, exist_ok=True)
+        if spec.method in ("supervised", "distilled"):
+            _imitate(spec, config, folder, quiet)
+        else:
+            _train_ppo(spec, config, folder, quiet, draw)
+    except BaseException:
+        if replaces and not (folder / "policy.npz").exists():  # nothing was learned that could be gone on with
+            shutil.rmtree(folder, ignore_errors=True)
+            aside.rename(folder)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
+    return folder
+
+
+def _write_config(spec: PolicySpec, config: TrainConfig, folder: Path) -> None:
+    write_text(folder / "config.json", json.dumps({"policy": spec.name, **asdict(config)}, indent=1))
+
+
+def make_env(spec: PolicySpec, config: TrainConfig) -> tuple[Go1Env, Curriculum]:
+    """Build the training courses and the robots on them; the seeds of courses never meet those of evaluation."""
+    top = find_preset(config.preset).max_difficulty
+    world = training_world(spec.courses, config.curriculum, top, config.seed)
+    curriculum = Curriculum(len(spec.courses), config.ppo.num_envs, config.curriculum, config.seed)
+    env = Go1Env(world, config.ppo.num_envs, config.env, curriculum.next_course, config.seed)
+    return env, curriculum
+
+
+def _goes_on_from_distilled(spec: PolicySpec) -> bool:
+    return spec.warm_start is not None and find_policy(spec.warm_start).method == "distilled"
+
+
+def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool, draw: Draw | None) -> None:
+    total = config.steps or spec.steps(config.preset)
+    ppo = config.ppo
+    selector = spec.method == "ppo-selector"
+    hold = config.selector.decision_steps if selector else 1
+    if selector:
+        ppo = replace(ppo, ent_coef=config.selector.ent_coef, gamma=ppo.gamma**hold)
+        config = replace(config, curriculum=replace(config.curriculum, enabled=False))
+    elif _goes_on_from_distilled(spec) and config.warm_start:
+        ppo = config.fine_tune.apply(ppo)
+    env, curriculum = make_env(spec, config)
+    act_dim = len(spec.skills) if selector else ACTION_DIM
+    distribution = Categorical if selector else Gaussian
+    seen = {}
+    if config.sight and not selector:  # which chooses on all courses and is to see them as they are
+        seen["seen.low"], seen["seen.high"] = sight(env.world, config.env.obs_dim)
+    learner = Learner.create(config.env.obs_dim, act_dim, ppo, config.seed, distribution, fixed=SCANDOTS)
+    skills = load_bank(spec.skills, config)
+    bank = digests(skills)
+    if selector:
+        env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward, config.selector, config.ppo.gamma)
+    rows = _resume_or_warm_start(spec, config, folder, learner, curriculum, bank)
+    if learner.steps >= total and not rows:
+        raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
+    _write_config(spec, config, folder)
+    log = ProgressLog(spec.name, folder, rows, learner.steps, total, quiet)
+    kinds = [f"level_{kind}" for kind in spec.courses] if len(spec.courses) > 1 and config.curriculum.enabled else []
+    stop = StopRequest()
+    last_drawn = time.monotonic()
+    start = last_drawn - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
+
+    def save(compress: bool) -> None:
+        arrays = learner.arrays() | learner.training_arrays() | seen
+        arrays |= {f"curriculum.{name}": value for name, value in curriculum.state().items()}
+        meta = {
+            "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": learner.steps,
+            "start": learner.start, "courses": spec.courses, "act_dim": act_dim, "obs_dim": config.env.obs_dim,
+            "versions": versions(), "wall_seconds": time.monotonic() - start, "decision_steps": hold, "config": asdict(config),
+            "skills": bank,
+        }  # fmt: skip
+        log.write()
+        write_npz(folder / "policy.npz", arrays, meta, compress)
+
+    with stop:
+        for record in train(env, learner, total, stop.requested):
+            # PPO has counted decisions; budgets are in control steps.
+            learner.steps += (hold - 1) * ppo.batch_size
+            record |= {"steps": learner.steps, "steps_per_second": hold * record["steps_per_second"]}
+            levels = dict(zip(kinds, curriculum.mean_levels(), strict=False))
+            log.add(record, time.monotonic() - start, curriculum.mean_level(), levels)
+            save(compress=False)  # every time: even a killed run loses no more than one iteration
+            if draw and time.monotonic() - last_drawn > 60.0:
+                last_drawn = time.monotonic()
+                draw(folder / "progress.csv", folder / "learning_curve.png", spec.name)
+        log.close()
+        save(compress=True)
+    if learner.steps < total:
+        raise KeyboardInterrupt(f"stopped at {learner.steps} of {total} steps; the same command goes on from {folder}")
+    if draw:
+        draw(folder / "progress.csv", folder / "learning_curve.png", spec.name)
+    write_text(folder / "DONE", f"{learner.steps} steps\n")
+
+
+def _resume_or_warm_start(
+    spec: PolicySpec,
+    config: TrainConfig,
+    folder: Path,
+    learner: Learner,
+    curriculum: Curriculum,
+    bank: dict[str, str],
+) -> list[dict]:
+    """Load the folder's checkpoint, or the warm start; return the progress so far."""
+    saved = folder / "policy.npz"
+    if saved.exists():
+        arrays, meta = read_npz(saved)
+        recorded = {"preset": meta.get("preset", config.preset)} | meta.get("config", {})
+        for flag, began, ours in changed_flags(recorded, config):
+            if flag not in ("steps", "out", "overwrite"):
+                raise UserError(f"{folder} was started with {flag} {began}, not {ours}; give that, or another --out")
+        for other in other_skills(meta, bank):
+            raise UserError(f"{folder} was started over another {other}; give its folder, or another --out")
+        if not {"curriculum.level", "normalizer.count"} <= arrays.keys():
+            raise UserError(f"{saved} can act but not be trained further: it lacks the state of a training run")
+        learner.load_arrays(arrays)
+        learner.steps, learner.start = meta["steps"], meta.get("start", 0)
+        learner.generator.manual_seed(config.seed + learner.steps)  # not the noise of the first part again
+        curriculum.load_state({"level": arrays["curriculum.level"]})
+        log = folder / "progress.csv"  # none where it was stopped before the first iteration
+        return [row for row in read_rows(log) if int(row["steps"]) <= learner.steps] if log.exists() else []
+    if spec.warm_start and config.warm_start:
+        source = weights_path(spec.warm_start, config)
+        arrays, meta = read_npz(source)
+        check_interface(source, meta, config.env)
+        hidden = tuple(meta.get("config", {}).get("ppo", {}).get("hidden", config.ppo.hidden))
+        if hidden != tuple(config.ppo.hidden):
+            raise UserError(
+                f"{source} has hidden layers of {hidden} units, not {config.ppo.hidden}; "
+                f"train {spec.warm_start} with the same flags and --out first"
+            )
+        # A distilled policy knows its way: noise as after a walk would only throw it off.
+        std = config.fine_tune.std if _goes_on_from_distilled(spec) else config.warm_std
+        learner.warm_start(arrays, meta["steps"], std, config.fine_tune.critic_steps)
+    return []
+
+
+def _imitate(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -> None:
+    """Collect what the oracle says, learn it, act, and collect again (paper sections 3.2.3 and 5)."""
+    start = time.monotonic()
+    config = replace(config, curriculum=replace(config.curriculum, enabled=False))
+    env, _ = make_env(spec, config)
+    bank = load_bank(spec.skills or spec.teachers, config)
+    _write_config(spec, config, folder)
+    oracle = oracle_hierarchy("oracle", bank)
+    meta = {
+        "policy": spec.name, "preset": config.preset, "seed": config.seed, "courses": spec.courses,
+        "versions": versions(), "config": asdict(config),
+    }  # fmt: skip
+    if spec.method == "supervised":
+        how, loss = config.supervised, "cross_entropy"
+        meta |= {"obs_dim": NUM_SCANDOTS, "act_dim": len(bank), "decision_steps": config.selector.decision_steps}
+        meta["skills"] = digests(bank)
+        collect = collect_labels
+        fit = partial(fit_selector, num_skills=len(bank), config=how, seed=config.seed)
+        student = partial(selector_hierarchy, spec.name, bank)
+    else:
+        how, loss = config.distill, "squared_error"
+        meta |= {"obs_dim": OBS_DIM, "act_dim": ACTION_DIM, "teachers": digests(bank)}
+        collect = partial(collect_actions, action_noise=how.action_noise)
+        fit = partial(fit_student, hidden=config.ppo.hidden, config=how, seed=config.seed)
+        student = partial(Single, spec.name)
+    rounds = how.dagger_rounds + 1
+    share = -(-(config.steps or spec.steps(config.preset)) // rounds)
+    actor, data, rows = oracle, [], []
+    for k in range(rounds):
+        data.append(collect(env, actor, oracle, share))
+        data = [tuple(np.concatenate(part) for part in zip(*data, strict=True))]  # what was seen, what was asked for
+        arrays, losses = fit(*data[0])
+        states = len(data[0][0])
+        meta |= {"steps": states, "wall_seconds": time.monotonic() - start}
+        actor = student(Policy.from_arrays(arrays, meta))
+        rows += [{"round": k, "states": states, "epoch": e, loss: v} for e, v in enumerate(losses)]
+        if not quiet:
+            print(f"{spec.name}: round {k}, {states} states, {loss.replace('_', ' ')} {losses[-1]:.4f}", flush=True)
+    write_csv(folder / "progress.csv", rows)
+    write_npz(folder / "policy.npz", arrays, meta)
+    write_text(folder / "DONE", f"{states} states\n")

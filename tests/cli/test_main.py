@@ -1,0 +1,317 @@
+import errno
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from agility_ref.cli.main import COMMANDS, main
+from agility_ref.evaluate import METRICS
+from agility_ref.training.policies import POLICIES
+
+
+@pytest.fixture(autouse=True)
+def empty_folder(monkeypatch, tmp_path):
+    """Work in an empty folder without shipped weights."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("agility_ref.training.weights.shipped", lambda *key: None)
+
+
+@pytest.fixture
+def refuses(capsys):
+    """Return a function that runs a command and checks for one line and exit status 2."""
+
+    def check(command, *expected):
+        assert main(command.split()) == 2
+        out, err = capsys.readouterr()
+        assert err.startswith("agility-ref: ") and err.count("\n") == 1, err
+        assert "Traceback" not in err and out == ""
+        for text in expected:
+            assert text in err
+        return err
+
+    return check
+
+
+# --- bad input -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command, expected", [
+    ("trian walk", ["unknown command 'trian'", "did you mean train"]),
+    ("train climb-upp", ["unknown policy 'climb-upp'", "climb-up"]),
+    ("evaluate gen3 --environment gap", ["unknown policy 'gen3'", "gen-3"]),
+    ("train walk --preset quik", ["unknown preset 'quik'", "quick"]),
+    ("evaluate walk --environment gap --preset quik", ["unknown preset 'quik'", "quick"]),
+    ("table1 --preset quik", ["unknown preset 'quik'", "quick"]),
+    ("train walk --steps -5", ["steps", "-5"]),
+    ("train oracle", ["oracle needs no training"]),
+    ("evaluate walk --environment gap", ["no weights for walk", "agility-ref train walk"]),
+    ("plot nowhere", ["nowhere", "progress.csv"]),
+    ("table1 --seeds 0 x", ["seeds", "'0 x'", "all"]),
+    ("table1 --protocol published", ["unknown protocol 'published'", "as-published"]),
+    ("table1 --train --seeds all", ["--train", "numbers"]),
+    ("table1 --findings --protocol as-published", ["--protocol complete"]),
+])  # fmt: skip
+def test_bad_input_is_one_line(refuses, command, expected):
+    refuses(command, *expected)
+
+
+@pytest.mark.parametrize("command, expected", [
+    ("--environment gaps", ["unknown environment 'gaps'", "gap"]),
+    ("--environment gap --episodes 0", ["episodes", "0"]),
+    ("--environment gap --difficulty 1.5", ["difficulty", "1.5"]),
+])  # fmt: skip
+def test_bad_evaluations_are_one_line(refuses, tmp_path, finished_run, command, expected):
+    finished_run(tmp_path, "walk")
+    refuses(f"evaluate walk --runs {tmp_path} {command}", *expected)
+
+
+def test_unknown_environment_is_named_without_weights(refuses):
+    refuses("evaluate walk --environment gaps", "unknown environment 'gaps'")
+
+
+def test_finished_run_in_the_way(refuses, tmp_path, finished_run):
+    finished_run(tmp_path, "walk")
+    refuses(f"train walk --out {tmp_path}", "finished run", "--overwrite")
+
+
+def damage_missing(path):
+    path.unlink()
+
+
+def damage_truncated(path):
+    path.write_bytes(path.read_bytes()[:200])
+
+
+def damage_flipped(path):
+    content = bytearray(path.read_bytes())
+    for start in range(300, len(content) - 300, 500):
+        content[start] ^= 0xFF
+    path.write_bytes(content)
+
+
+def damage_foreign(path):
+    np.savez(path, weights=np.zeros(3))
+
+
+def damage_text(path):
+    path.write_text("hello\n")
+
+
+@pytest.mark.parametrize(
+    "damage", [damage_missing, damage_truncated, damage_flipped, damage_foreign, damage_text], ids=lambda f: f.__name__
+)
+def test_damaged_checkpoints_are_one_line(refuses, tmp_path, finished_run, damage):
+    path = finished_run(tmp_path, "walk") / "policy.npz"
+    damage(path)
+    refuses(f"evaluate walk --environment gap --runs {tmp_path}", str(path))
+
+
+def test_a_damaged_checkpoint_cannot_be_resumed(refuses, tmp_path, finished_run):
+    folder = finished_run(tmp_path, "walk")
+    (folder / "DONE").unlink()
+    damage_truncated(folder / "policy.npz")
+    refuses(f"train walk --out {tmp_path} --ppo.num-envs 2 --curriculum.num-levels 1", "policy.npz")
+
+
+def test_a_checkpoint_of_another_shape(refuses, tmp_path, finished_run):
+    finished_run(tmp_path, "walk", obs_dim=48)
+    refuses(f"evaluate walk --environment gap --runs {tmp_path}", "48 -> 12")
+
+
+def test_resuming_what_was_never_trained_here(refuses, tmp_path, finished_run):
+    (finished_run(tmp_path, "walk") / "DONE").unlink()  # one hidden layer of 16 units
+    (tmp_path / "walk" / "seed0" / "progress.csv").write_text("steps,wall_seconds\n")
+    refuses(f"train walk --out {tmp_path} --ppo.num-envs 2 --curriculum.num-levels 1 --steps 5000", "lacks the state")
+
+
+def test_resuming_under_another_preset(refuses, tmp_path, finished_run):
+    (finished_run(tmp_path, "walk", preset="quick") / "DONE").unlink()
+    refuses(f"train walk --out {tmp_path} --ppo.num-envs 2 --curriculum.num-levels 1", "quick", "full")
+
+
+# --- what works ------------------------------------------------------------------------
+
+
+def test_no_command_prints_the_usage(capsys):
+    assert main([]) == 2
+    assert main(["--help"]) == 0
+    out = capsys.readouterr().out
+    assert all(command in out for command in COMMANDS)
+
+
+def test_list_names_every_policy(capsys):
+    assert main(["list"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in POLICIES)
+
+
+@pytest.fixture
+def short_episodes(monkeypatch):
+    """Evaluate episodes of half a second, so that a test takes less."""
+    from agility_ref import evaluate
+    from agility_ref.env import EnvConfig
+
+    original = evaluate.evaluation_env
+    monkeypatch.setattr(
+        evaluate,
+        "evaluation_env",
+        lambda environment, config, _: original(environment, config, EnvConfig(episode_seconds=0.5)),
+    )
+
+
+def test_evaluate_prints_one_json_object(capsys, tmp_path, finished_run, short_episodes):
+    finished_run(tmp_path, "walk")
+    assert main(f"evaluate walk --environment gap --episodes 2 --runs {tmp_path} --json".split()) == 0
+    out = capsys.readouterr().out
+    assert out.count("\n") == 1
+    summary = json.loads(out)
+    assert summary["policy"] == "walk" and summary["environment"] == "gap" and summary["episodes"] == 2
+    for metric in METRICS:
+        assert set(summary[metric]) == {"mean", "std"}
+
+
+def test_evaluate_prints_the_four_metrics(capsys, tmp_path, finished_run, short_episodes):
+    finished_run(tmp_path, "walk")
+    assert main(f"evaluate walk --environment gap --episodes 2 --runs {tmp_path}".split()) == 0
+    out = capsys.readouterr().out
+    assert all(metric in out for metric in METRICS)
+
+
+def test_train_prints_its_folder(capsys, tmp_path):
+    command = (
+        f"train walk --out {tmp_path} --steps 32 --ppo.num-envs 4 --ppo.num-steps 8 --ppo.hidden 8 "
+        "--curriculum.num-levels 2 --curriculum.variants 1"
+    )
+    assert main(command.split()) == 0
+    assert str(tmp_path / "walk" / "seed0") in capsys.readouterr().out
+    assert main(f"plot {tmp_path / 'walk' / 'seed0'}".split()) == 0
+
+
+def test_table1_with_nothing_trained_leaves_the_table_that_is_there(capsys, tmp_path):
+    results = tmp_path / "results"
+    results.mkdir()
+    (results / "table1.csv").write_text("a table")
+    assert main(f"table1 --runs {tmp_path} --results {results} --episodes 1".split()) == 2
+    assert "not one cell to fill" in (err := capsys.readouterr().err) and "no weights for" in err
+    assert (results / "table1.csv").read_text() == "a table" and len(list(results.iterdir())) == 1
+
+
+def test_table1_of_several_seeds(capsys, tmp_path, finished_run, short_episodes):
+    for seed in (0, 3):
+        finished_run(tmp_path / "runs" / "full", "walk", seed)
+    assert main("table1 --seeds all --findings --episodes 2".split()) == 0
+    out = capsys.readouterr().out
+    assert "4 of 43 cells filled" in out and "0, 3" in out and "NOT MEASURED: Curriculum is crucial." in out
+    assert sorted(p.name for p in (tmp_path / "results").iterdir()) == [
+        "cells", "findings.md", "table1.csv", "table1.md", "table1.png", "table1.svg", "table1.tex",
+    ]  # fmt: skip
+    assert len(list((tmp_path / "results" / "cells").glob("walk-*-seed[03].npz"))) == 8
+    assert main("table1 --seeds 0,3 --episodes 2".split()) == 0
+    assert capsys.readouterr().err.count("evaluating") == 0  # all found in results/cells
+
+
+def test_table1_compares(capsys, tmp_path, finished_run, short_episodes):
+    for name in ("walk", "leap"):
+        finished_run(tmp_path / "runs" / "full", name)
+    assert main("table1 --episodes 2 --compare walk leap".split()) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("walk - leap on")]
+    assert [line.split()[4] for line in lines] == ["climb-gap", "gap", "beam", "climb"]
+    assert all(line.endswith("1 seeds") for line in lines)
+
+
+@pytest.mark.parametrize("words, message", [
+    ("--compare walk", "--compare needs two policies or more, not walk alone"),
+    ("--compare walk lep", "unknown policy 'lep': did you mean leap"),
+    ("--compare walk leap --protocol as-published", "episode by episode: --protocol complete, not as-published"),
+])  # fmt: skip
+def test_table1_refuses_what_it_cannot_compare(capsys, words, message):
+    assert main(["table1", *words.split()]) == 2
+    err = capsys.readouterr().err
+    assert message in err and err.count("\n") == 1
+
+
+def test_table1_as_published(capsys, tmp_path, finished_run, short_episodes):
+    finished_run(tmp_path / "runs" / "full", "walk")
+    assert main("table1 --episodes 2 --protocol as-published".split()) == 0
+    out = capsys.readouterr().out
+    assert "4 of 43 cells filled" in out and "interquartile" not in out
+    assert "counted as-published" in (tmp_path / "results" / "table1.md").read_text()
+
+
+def test_an_interrupted_table1_says_how_to_go_on(capsys, monkeypatch, tmp_path):
+    def interrupted(*args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("agility_ref.results.table1.compute", interrupted)
+    assert main(["table1"]) == 130
+    assert "the same command goes on from results/cells" in capsys.readouterr().err
+
+
+def test_interrupting_exits_with_130(capsys, monkeypatch):
+    def interrupted(argv):
+        raise KeyboardInterrupt("stopped at 5 of 10 steps")
+
+    monkeypatch.setitem(COMMANDS, "train", interrupted)
+    assert main(["train"]) == 130
+    assert capsys.readouterr().err == "agility-ref: stopped at 5 of 10 steps\n"
+
+
+def test_our_own_mistakes_keep_their_traceback(monkeypatch):
+    def broken(argv):
+        raise ValueError("a bug")
+
+    monkeypatch.setitem(COMMANDS, "train", broken)
+    with pytest.raises(ValueError, match="a bug"):
+        main(["train"])
+
+
+def test_plot_prints_only_what_it_drew(capsys, tmp_path):
+    # The supervised selector's progress has other columns, of which nothing is drawn.
+    (tmp_path / "progress.csv").write_text("round,states,epoch,cross_entropy\n0,100,0,0.5\n0,100,1,0.4\n")
+    assert not main(["plot", str(tmp_path)])
+    assert capsys.readouterr().out == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["progress.csv"]
+
+
+def test_python_dash_m():
+    done = subprocess.run(
+        [sys.executable, "-m", "agility_ref", "train", "wlak"], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("agility-ref: unknown policy 'wlak': did you mean walk")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_reader_that_has_seen_enough_gets_no_traceback():
+    """As `agility-ref list | head -1` does it."""
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-m", "agility_ref", "list"], stdout=write, stderr=subprocess.PIPE, timeout=60
+    )
+    os.close(write)
+    assert done.returncode == 1 and done.stderr == b""
+
+
+def test_list_takes_no_more_words(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["list", "walk"])
+    assert stopped.value.code == 2 and "walk" in capsys.readouterr().err
+
+
+def test_a_full_disk_is_one_line(monkeypatch, capsys):
+    def full(argv):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setitem(COMMANDS, "list", full)
+    assert main(["list"]) == 2
+    assert capsys.readouterr().err == "agility-ref: No space left on device\n"
+
+
+def test_a_table_is_refused_before_it_is_trained(monkeypatch, capsys):
+    monkeypatch.setattr("agility_ref.results.table1.train_all", lambda *args: pytest.fail("trained"))
+    assert main("table1 --train --episodes 0".split()) == 2
+    assert "episodes must be at least 1, not 0" in capsys.readouterr().err

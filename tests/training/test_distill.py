@@ -1,0 +1,130 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
+from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.policy import Policy
+from agility_ref.ppo import PPOConfig
+from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
+from agility_ref.terrain import make_course
+from agility_ref.training.distill import DistillConfig, FineTuneConfig, collect_actions, fit_student
+from agility_ref.world import World
+
+SMALL = DistillConfig(epochs=20, batch_size=64, learning_rate=3e-3)
+
+
+@pytest.fixture
+def env():
+    """Three robots, each on its own course: walk, gap, beam."""
+    world = World([make_course(kind, 0.5, 0) for kind in ("walk", "gap", "beam")])
+    return Go1Env(world, 3, EnvConfig(), lambda ids, fraction: ids)
+
+
+def states(n, seed=0):
+    return np.random.default_rng(seed).standard_normal((n, OBS_DIM)).astype(np.float32)
+
+
+def policy_of(observations, actions, config=SMALL, hidden=(32,), seed=0):
+    arrays, losses = fit_student(observations, actions, hidden, config, seed)
+    return Policy.from_arrays(arrays, {"policy": "distilled", "act_dim": ACTION_DIM}), losses
+
+
+# --- what is collected -----------------------------------------------------------------
+
+
+def test_as_many_states_as_asked_for_and_no_step_more(env, five_skills):
+    observations, actions = collect_actions(
+        env, oracle_hierarchy("o", five_skills), oracle_hierarchy("o", five_skills), 10, 0.0
+    )
+    # 3 robots: 3, 6, 9, 12 states
+    assert observations.shape == (12, OBS_DIM) and actions.shape == (12, ACTION_DIM)
+    assert observations.dtype == actions.dtype == np.float32
+
+
+def test_labels_are_the_teachers_actions_whoever_acts(five_skills, make_policy):
+    env = Go1Env(World([make_course("gap", 0.5, 0)]), 3, EnvConfig(action_limit=1.0))
+    teacher = Hierarchy("leap", tuple(five_skills.values()), lambda obs, env: np.full(len(obs), 3))
+    student = Single("student", make_policy(9))
+    observations, actions = collect_actions(env, student, teacher, 30, 0.5)
+    wanted = five_skills["leap"](observations)
+    np.testing.assert_allclose(actions, np.clip(wanted, -1.0, 1.0), atol=1e-5)
+    assert np.abs(wanted).max() > 1.0  # the clip does something
+
+
+def test_each_state_is_labelled_by_the_skill_of_its_region(env, five_skills):
+    for robot, course in enumerate(env.world.courses):
+        env._qpos[robot, 0] = course.obstacles[0].x0 if course.obstacles else 5.0
+    oracle = oracle_hierarchy("o", five_skills)
+    env.reset = lambda: (np.zeros((3, OBS_DIM), np.float32), {})  # the robots stay where they were put
+    _, actions = collect_actions(env, oracle, oracle, 3, 0.0)
+    nothing = np.zeros((1, OBS_DIM), np.float32)
+    for action, skill in zip(actions, ("walk", "leap", "beam"), strict=True):
+        np.testing.assert_allclose(action, np.clip(five_skills[skill](nothing)[0], -4, 4), atol=1e-5)
+
+
+def test_noise_changes_what_is_seen_next_and_not_the_first_state(five_skills):
+    oracle, seen = oracle_hierarchy("o", five_skills), []
+    for noise in (0.0, 0.5):
+        world = World([make_course("walk", 0.5, 0)])
+        seen.append(collect_actions(Go1Env(world, 2, EnvConfig().clean()), oracle, oracle, 4, noise)[0])
+    np.testing.assert_array_equal(seen[0][:2], seen[1][:2])
+    assert not np.array_equal(seen[0][2:], seen[1][2:])
+
+
+# --- what is learned -------------------------------------------------------------------
+
+
+def test_a_student_learns_a_linear_teacher():
+    x = states(2000)
+    weights = np.random.default_rng(1).standard_normal((OBS_DIM, ACTION_DIM)) / OBS_DIM**0.5
+    # Scandots are scaled by 1 / 0.3 and would be clipped at +-5: small ones here.
+    x[:, SCANDOTS] *= 0.2
+    y = (x @ weights).astype(np.float32)
+    student, losses = policy_of(x, y)
+    fresh = states(500, 2)
+    fresh[:, SCANDOTS] *= 0.2
+    error = ((student(fresh) - fresh @ weights) ** 2).mean()
+    assert losses[-1] < 0.1 * losses[0] and error < 0.15 * y.var()
+
+
+def test_the_normaliser_is_that_of_the_states_seen():
+    x = 3.0 + 2.0 * states(400)
+    arrays, _ = fit_student(x, np.zeros((400, ACTION_DIM), np.float32), (8,), DistillConfig(epochs=1), 0)
+    free = np.delete(np.arange(OBS_DIM), np.r_[SCANDOTS])
+    np.testing.assert_allclose(arrays["normalizer.mean"][free], x[:, free].mean(axis=0), rtol=1e-5)
+    np.testing.assert_allclose(arrays["normalizer.var"][free], x[:, free].var(axis=0), rtol=1e-5)
+    np.testing.assert_allclose(arrays["normalizer.mean"][SCANDOTS], 0.0)
+    np.testing.assert_allclose(arrays["normalizer.var"][SCANDOTS], 0.09)
+    assert arrays["normalizer.count"] == 400
+
+
+def test_a_seed_decides_the_student():
+    x, y = states(200), states(200, 1)[:, :ACTION_DIM]
+    first, again, other = (policy_of(x, y, seed=seed)[0] for seed in (0, 0, 1))
+    assert first.digest() == again.digest() != other.digest()
+
+
+def test_fine_tuning_replaces_what_both_have():
+    ppo = FineTuneConfig(std=0.3, num_steps=7, target_kl=0.004, ent_coef=0.2).apply(PPOConfig())
+    expected = replace(
+        PPOConfig(),
+        num_steps=7,
+        target_kl=0.004,
+        ent_coef=0.2,
+        critic_learning_rate=5e-4,
+        learning_rate_min=1e-5,
+        anneal_share=1.0,
+    )
+    assert ppo == expected
+
+
+def test_the_students_step_size_falls(monkeypatch):
+    from agility_ref import networks
+
+    seen, fit = [], networks.fit
+    monkeypatch.setattr(networks, "fit", lambda *a, **k: seen.append(k) or fit(*a, **k))
+    x = np.zeros((8, 184), np.float32)
+    fit_student(x, x[:, :12], (4,), DistillConfig(epochs=1), 0)
+    assert seen == [{"anneal": True}]

@@ -1,0 +1,556 @@
+import csv
+import json
+import re
+from dataclasses import replace
+from itertools import count
+
+import numpy as np
+import pytest
+
+from agility_ref.curriculum import CurriculumConfig
+from agility_ref.env import ACTION_DIM, EnvConfig
+from agility_ref.errors import UserError
+from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
+from agility_ref.policy import read_npz, write_npz
+from agility_ref.ppo import Learner, PPOConfig
+from agility_ref.rewards import RewardConfig
+from agility_ref.selector import Hierarchy, SelectorConfig, Single, SupervisedConfig
+from agility_ref.terrain import COURSE_KINDS
+from agility_ref.training import runs
+from agility_ref.training.bank import load_policy, run_folder
+from agility_ref.training.distill import DistillConfig, FineTuneConfig
+from agility_ref.training.policies import find_policy
+from agility_ref.training.progress import PROGRESS, ProgressLog, read_progress, read_rows
+from agility_ref.training.runs import TrainConfig, train_policy
+
+BATCH = 8 * 4
+TINY = PPOConfig(num_envs=8, num_steps=4, hidden=(8,), update_epochs=1, num_minibatches=1)
+
+
+@pytest.fixture
+def drawing():
+    """Ask for this to have learning curves drawn, which takes longer than the tiny runs."""
+
+
+@pytest.fixture(autouse=True)
+def quick_and_alone(monkeypatch, tmp_path, request):
+    """Tests find their own runs only, and draw no figures unless they ask to."""
+    monkeypatch.setattr("agility_ref.training.weights.shipped", lambda *key: None)
+    if "drawing" not in request.fixturenames:
+        monkeypatch.setattr("agility_ref.pictures.plots.learning_curve", lambda *args: None)
+
+
+@pytest.fixture
+def config(tmp_path):
+    return TrainConfig(
+        preset="quick", out=str(tmp_path), steps=3 * BATCH, ppo=TINY,
+        curriculum=CurriculumConfig(num_levels=2, variants=1), supervised=SupervisedConfig(epochs=2, hidden=(8,)),
+    )  # fmt: skip
+
+
+def progress(folder):
+    with open(folder / "progress.csv", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def steps_of(folder):
+    return [int(row["steps"]) for row in progress(folder)]
+
+
+# --- a run -----------------------------------------------------------------------------
+
+
+def test_a_run_writes_its_files(config, tmp_path, drawing):
+    folder = train_policy("walk", config, quiet=True)
+    assert folder == tmp_path / "walk" / "seed0"
+    written = {p.name for p in folder.iterdir()}
+    assert {"DONE", "config.json", "learning_curve.png", "policy.npz", "progress.csv"} <= written
+    assert (folder / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
+    assert not list(tmp_path.rglob("*.partial"))
+
+
+def test_progress_has_a_row_an_iteration(config):
+    folder = train_policy("walk", config, quiet=True)
+    assert steps_of(folder) == [BATCH, 2 * BATCH, 3 * BATCH]
+    assert list(progress(folder)[0]) == list(PROGRESS)
+
+
+def test_config_is_recorded(config):
+    record = json.loads((train_policy("walk", config, quiet=True) / "config.json").read_text())
+    assert record["policy"] == "walk"
+    assert record["ppo"]["num_envs"] == 8 and record["preset"] == "quick" and record["steps"] == 3 * BATCH
+
+
+def test_a_trained_policy_sees_what_its_own_courses_show(config):
+    """Rough ground of d <= 0.4 has tiles within +-0.018 m: nothing of it lies 0.2 m above or below a robot."""
+    arrays, _ = read_npz(train_policy("walk", config, quiet=True) / "policy.npz")
+    assert (np.abs([arrays["seen.low"][SCANDOTS], arrays["seen.high"][SCANDOTS]]) < 0.2).all()
+    free = replace(config, sight=False, out=config.out + "/free")
+    assert "seen.low" not in read_npz(train_policy("walk", free, quiet=True) / "policy.npz")[0]
+
+
+def test_a_selector_sees_all_there_is(config, tmp_path, finished_run):
+    for skill in find_policy("ps-rl-3").skills:
+        finished_run(tmp_path, skill)
+    arrays, _ = read_npz(train_policy("ps-rl-3", config, quiet=True) / "policy.npz")
+    assert "seen.low" not in arrays
+
+
+def test_checkpoint_holds_what_training_needs(config):
+    arrays, meta = read_npz(train_policy("walk", config, quiet=True) / "policy.npz")
+    assert meta["policy"] == "walk" and meta["steps"] == 3 * BATCH and meta["seed"] == 0
+    assert {"python", "numpy", "mujoco"} <= set(meta["versions"])
+    assert arrays["normalizer.count"] == 3 * BATCH
+    assert "optimizer.actor.0.weight.exp_avg" in arrays and "curriculum.level" in arrays
+
+
+def test_same_seed_same_run(config, tmp_path):
+    a, b = (train_policy("walk", replace(config, out=str(tmp_path / x)), quiet=True) for x in "ab")
+    first, second = (read_npz(folder / "policy.npz")[0] for folder in (a, b))
+    for name in first:
+        np.testing.assert_array_equal(first[name], second[name], err_msg=name)
+
+
+def test_a_long_run_of_short_iterations(config, drawing):
+    tiny = PPOConfig(num_envs=1, num_steps=2, hidden=(4,), update_epochs=1, num_minibatches=1)
+    folder = train_policy("walk", replace(config, ppo=tiny, steps=2 * 120), quiet=True)
+    assert len(steps_of(folder)) == 120
+
+
+def test_the_learning_curve_is_redrawn_along_the_way(config, monkeypatch):
+    # A clock on which every reading is 10 s later than the last, three and a half readings an iteration; a curve a minute.
+    clock, drawn = count(0.0, 10.0), []
+    monkeypatch.setattr(runs.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(
+        "agility_ref.pictures.plots.learning_curve", lambda csv, png, name: drawn.append(len(read_rows(csv)))
+    )
+    train_policy("walk", replace(config, steps=6 * BATCH), quiet=True)
+    assert 1 < len(drawn) < 7 and drawn == sorted(drawn) and drawn[0] < drawn[-1] == 6
+
+
+# --- stopping and going on -------------------------------------------------------------
+
+
+def test_a_finished_run_is_not_overwritten(config):
+    folder = train_policy("walk", config, quiet=True)
+    before = (folder / "policy.npz").read_bytes()
+    with pytest.raises(UserError, match=r"finished run.*--overwrite"):
+        train_policy("walk", config, quiet=True)
+    assert (folder / "policy.npz").read_bytes() == before
+
+
+def test_overwrite_starts_over(config):
+    train_policy("walk", config, quiet=True)
+    folder = train_policy("walk", replace(config, steps=BATCH, overwrite=True), quiet=True)
+    assert steps_of(folder) == [BATCH]
+
+
+def test_a_stopped_run_goes_on(config):
+    folder = train_policy("walk", config, quiet=True)
+    first = progress(folder)
+    (folder / "DONE").unlink()
+    train_policy("walk", replace(config, steps=5 * BATCH), quiet=True)
+    assert progress(folder)[:3] == first
+    assert steps_of(folder) == [k * BATCH for k in (1, 2, 3, 4, 5)]
+    wall = [float(row["wall_seconds"]) for row in progress(folder)]
+    assert wall == sorted(wall)
+    arrays, meta = read_npz(folder / "policy.npz")
+    assert meta["steps"] == 5 * BATCH and arrays["normalizer.count"] == 5 * BATCH
+    assert (folder / "DONE").exists()
+
+
+def test_rows_beyond_the_checkpoint_are_dropped(config):
+    # Killed between progress.csv and policy.npz: the next run repeats what the weights lack.
+    folder = train_policy("walk", config, quiet=True)
+    (folder / "DONE").unlink()
+    rows = progress(folder)
+    with open(folder / "progress.csv", "a", newline="") as file:
+        csv.DictWriter(file, list(rows[0])).writerow(rows[-1] | {"steps": 4 * BATCH})
+    train_policy("walk", replace(config, steps=5 * BATCH), quiet=True)
+    assert steps_of(folder) == [k * BATCH for k in (1, 2, 3, 4, 5)]
+
+
+def test_interrupt_saves_and_leaves_no_done(config, monkeypatch):
+    monkeypatch.setattr(
+        runs.StopRequest, "requested", lambda self: True if self.asked else setattr(self, "asked", True)
+    )
+    folder = run_folder(config.root, "walk", 0)
+    with pytest.raises(KeyboardInterrupt, match="goes on"):
+        train_policy("walk", config, quiet=True)
+    assert steps_of(folder) == [BATCH]
+    assert not (folder / "DONE").exists()
+    monkeypatch.undo()
+    monkeypatch.setattr("agility_ref.training.weights.shipped", lambda *key: None)
+    train_policy("walk", config, quiet=True)
+    assert steps_of(folder) == [BATCH, 2 * BATCH, 3 * BATCH]
+
+
+def test_a_killed_run_loses_no_more_than_one_iteration(config, monkeypatch):
+    # No signal handler has a say when a process is killed or the power fails, so what counts is what lies on disk.
+    class Killed(BaseException):
+        pass
+
+    step, steps = runs.Go1Env.step, []
+
+    def killed(self, action):
+        steps.append(1)
+        if len(steps) == 2 * TINY.num_steps + 3:  # in the third iteration
+            raise Killed
+        return step(self, action)
+
+    monkeypatch.setattr(runs.Go1Env, "step", killed)
+    with pytest.raises(Killed):
+        train_policy("walk", replace(config, steps=4 * BATCH), quiet=True)
+    folder = run_folder(config.root, "walk", 0)
+    assert read_npz(folder / "policy.npz")[1]["steps"] == 2 * BATCH
+    first = progress(folder)
+    train_policy("walk", replace(config, steps=4 * BATCH), quiet=True)
+    assert steps_of(folder) == [k * BATCH for k in (1, 2, 3, 4)] and progress(folder)[:2] == first
+
+
+def test_resuming_with_another_network_is_refused(config):
+    folder = train_policy("walk", config, quiet=True)
+    (folder / "DONE").unlink()
+    with pytest.raises(UserError, match=r"started with ppo\.hidden \[8\], not \[6\]"):
+        train_policy("walk", replace(config, steps=5 * BATCH, ppo=replace(TINY, hidden=(6,))), quiet=True)
+
+
+def test_a_learner_refuses_the_arrays_of_another_network():
+    eight, six = (Learner.create(5, 2, replace(TINY, hidden=(units,)), seed=0) for units in (8, 6))
+    with pytest.raises(UserError, match=r"actor\.0\.weight of shape \(8, 5\), this network \(6, 5\)"):
+        six.load_arrays(eight.arrays())
+
+
+def test_settings_are_checked_before_anything_is_written(config):
+    with pytest.raises(UserError, match=r"env\.push-interval must be at least 0"):
+        train_policy("walk", replace(config, env=EnvConfig(push_interval=-1.0)), quiet=True)
+    assert not run_folder(config.root, "walk", 0).exists()
+
+
+def test_a_fault_before_the_first_iteration_leaves_the_finished_run(config, monkeypatch):
+    folder = train_policy("walk", config, quiet=True)
+    before = (folder / "policy.npz").read_bytes()
+    monkeypatch.setattr(runs, "make_env", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        train_policy("walk", replace(config, overwrite=True), quiet=True)
+    assert (folder / "policy.npz").read_bytes() == before and (folder / "DONE").exists()
+    assert not folder.with_name("seed0.old").exists()
+
+
+@pytest.mark.parametrize("flag, change", [
+    ("ppo.gamma 0.99, not 0.9", {"ppo": replace(TINY, gamma=0.9)}),
+    ("curriculum.num-levels 2, not 3", {"curriculum": CurriculumConfig(num_levels=3, variants=1)}),
+    ("env.rewards.alive 0.5, not 0", {"env": EnvConfig(turned_start_share=0.1, stall_seconds=5, rewards=RewardConfig(alive=0))}),
+    ("preset quick, not full", {"preset": "full"}),
+])  # fmt: skip
+def test_resuming_with_other_settings_is_refused_and_changes_nothing(config, flag, change):
+    folder = train_policy("walk", config, quiet=True)
+    (folder / "DONE").unlink()
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    with pytest.raises(UserError, match=re.escape(f"started with {flag}")):
+        train_policy("walk", replace(config, steps=5 * BATCH, **change), quiet=True)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_a_refused_overwrite_keeps_the_finished_run(config):
+    train_policy("walk", config, quiet=True)
+    folder = train_policy("leap", replace(config, steps=5 * BATCH), quiet=True)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    for wrong in (
+        {"steps": BATCH},
+        {"env": replace(config.env, action_scale=0.5)},
+        {"ppo": replace(TINY, hidden=(6,))},
+    ):
+        with pytest.raises(UserError):
+            train_policy("leap", replace(config, overwrite=True, **wrong), quiet=True)
+        assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    train_policy("leap", replace(config, overwrite=True, steps=6 * BATCH), quiet=True)
+    assert steps_of(folder)[-1] == 6 * BATCH and [path.name for path in folder.parent.iterdir()] == ["seed0"]
+
+
+def test_a_selector_acts_over_the_skills_it_was_trained_with(config, tmp_path, finished_run):
+    for name in ("walk", "climb", "leap"):
+        finished_run(tmp_path, name, preset="quick")
+    train_policy("ps-rl-3-env", config, quiet=True)
+    assert isinstance(load_policy("ps-rl-3-env", config), Hierarchy)
+    finished_run(tmp_path, "leap", preset="quick", gain=50.0)
+    with pytest.raises(UserError, match="was trained over another leap"):
+        load_policy("ps-rl-3-env", config)
+
+
+def test_weights_that_can_only_act_are_not_trained_further(config):
+    folder = train_policy("walk", config, quiet=True)
+    (folder / "DONE").unlink()
+    arrays, meta = read_npz(folder / "policy.npz")
+    acting = {name: array for name, array in arrays.items() if not name.startswith(("optimizer.", "curriculum."))}
+    write_npz(folder / "policy.npz", acting, {key: meta[key] for key in meta if key != "schema"})
+    with pytest.raises(UserError, match="lacks the state"):
+        train_policy("walk", replace(config, steps=5 * BATCH), quiet=True)
+
+
+def test_resuming_with_another_number_of_robots(config):
+    folder = train_policy("walk", config, quiet=True)
+    (folder / "DONE").unlink()
+    with pytest.raises(UserError, match=r"started with ppo\.num-envs 8, not 6"):
+        train_policy("walk", replace(config, steps=5 * BATCH, ppo=replace(TINY, num_envs=6)), quiet=True)
+
+
+def test_a_generalist_records_the_level_of_each_kind(config):
+    train_policy("walk", config, quiet=True)
+    rows = progress(train_policy("gen-3", replace(config, steps=5 * BATCH), quiet=True))
+    levels = [[float(row[f"level_{kind}"]) for kind in ("climb", "gap", "walk")] for row in rows]
+    assert np.shape(levels) == (2, 3)
+
+
+# --- warm starts and needs -------------------------------------------------------------
+
+
+def test_warm_start_is_counted_and_copied(config, tmp_path):
+    walk = train_policy("walk", config, quiet=True)
+    folder = train_policy("climb", replace(config, steps=5 * BATCH), quiet=True)
+    assert steps_of(folder) == [4 * BATCH, 5 * BATCH]
+    count = read_npz(folder / "policy.npz")[0]["normalizer.count"]
+    assert count == 5 * BATCH == read_npz(walk / "policy.npz")[0]["normalizer.count"] + 2 * BATCH
+
+
+def test_what_is_needed_is_trained_first(config, tmp_path, monkeypatch):
+    from agility_ref.training import policies
+
+    budgets = {name: replace(spec, budget=(4 * BATCH, 4 * BATCH)) for name, spec in policies.POLICIES.items()}
+    budgets["walk"] = replace(budgets["walk"], budget=(2 * BATCH, 2 * BATCH))
+    monkeypatch.setattr(policies, "POLICIES", budgets)
+    train_policy("climb", replace(config, steps=0), quiet=True)
+    assert (tmp_path / "walk" / "seed0" / "DONE").exists()
+    assert steps_of(tmp_path / "climb" / "seed0") == [3 * BATCH, 4 * BATCH]
+
+
+def test_from_scratch_needs_nothing(config, tmp_path):
+    folder = train_policy("climb", replace(config, warm_start=False), quiet=True)
+    assert steps_of(folder)[0] == BATCH
+    assert not (tmp_path / "walk").exists()
+
+
+@pytest.mark.parametrize("field, value, message", [
+    ("action_scale", 0.25, r"trained with env\.action-scale 0\.25, this task has 0\.3"),
+    ("action_repeat", 2, r"trained with env\.action-repeat 2, this task has 1"),
+    ("physics", {"timestep": 0.01, "substeps": 4}, r"trained to act every 0\.04 s, this task asks every 0\.02 s"),
+])  # fmt: skip
+def test_policies_of_another_action_are_refused(config, tmp_path, finished_run, field, value, message):
+    finished_run(tmp_path, "walk", steps=BATCH, config={"env": {field: value}})
+    with pytest.raises(UserError, match=message):
+        train_policy("climb", config, quiet=True)
+    with pytest.raises(UserError, match=message):
+        load_policy("walk", config)
+
+
+def test_a_warm_start_of_another_network_is_refused(config, tmp_path, finished_run):
+    finished_run(tmp_path, "walk", steps=BATCH, config={"ppo": {"hidden": [128, 128]}})
+    with pytest.raises(
+        UserError, match=r"hidden layers of \(128, 128\) units, not \(8,\); train walk with the same flags"
+    ):
+        train_policy("climb", config, quiet=True)
+
+
+def test_damaged_shipped_weights_are_not_trained_anew(config, monkeypatch):
+    def shipped(*key):
+        raise UserError("shipped weights differ from their manifest")
+
+    monkeypatch.setattr("agility_ref.training.weights.shipped", shipped)
+    with pytest.raises(UserError, match="differ from their manifest"):
+        train_policy("climb", config, quiet=True)
+
+
+@pytest.mark.parametrize("name, mirror", [("ps-rl-3-env", False), ("ps-sl-5", False), ("walk", True)])
+def test_a_clock_is_refused_where_nothing_can_use_it(config, name, mirror):
+    env, ppo = replace(config.env, gait_clock=2.0), replace(TINY, mirror=mirror)
+    with pytest.raises(UserError, match=r"env\.gait-clock (and ppo\.mirror are for skills|does not go)"):
+        train_policy(name, replace(config, env=env, ppo=ppo), quiet=True)
+
+
+def test_a_policy_with_a_clock_trains(config):
+    folder = train_policy("walk", replace(config, env=replace(config.env, gait_clock=2.0)), quiet=True)
+    assert read_npz(folder / "policy.npz")[1]["obs_dim"] == OBS_DIM + 2
+
+
+def test_fewer_steps_than_the_warm_start_is_refused(config):
+    train_policy("walk", config, quiet=True)
+    with pytest.raises(UserError):
+        train_policy("climb", replace(config, steps=2 * BATCH), quiet=True)
+
+
+def test_oracle_needs_no_training(config):
+    with pytest.raises(UserError, match="oracle needs no training"):
+        train_policy("oracle", config, quiet=True)
+
+
+@pytest.mark.parametrize("name", ["ps-rl-3-env", "ps-rl-3-oracle"])
+def test_ppo_selector_run(config, tmp_path, finished_run, name):
+    for skill in ("walk", "climb", "leap"):
+        finished_run(tmp_path, skill)
+    folder = train_policy(name, config, quiet=True)
+    policy = load_policy(name, config)
+    assert (folder / "DONE").exists() and isinstance(policy, Hierarchy)
+    assert read_npz(folder / "policy.npz")[0]["actor.2.bias"].shape == (3,)
+
+
+def test_a_held_selector_run_counts_control_steps(config, tmp_path, finished_run):
+    for skill in ("walk", "climb", "leap"):
+        finished_run(tmp_path, skill)
+    config = replace(config, steps=300, selector=SelectorConfig(decision_steps=4, switch_cost=0.1))
+    folder = train_policy("ps-rl-3-env", config, quiet=True)
+    # an iteration is 4 robots x 8 decisions x 4 steps = 128; the third one passes 300
+    assert steps_of(folder) == [128, 256, 384]
+    meta = read_npz(folder / "policy.npz")[1]
+    assert meta["steps"] == 384 and meta["config"]["selector"]["switch_cost"] == 0.1
+    assert load_policy("ps-rl-3-env", config).decision_steps == 4
+    (folder / "DONE").unlink()
+    train_policy("ps-rl-3-env", replace(config, steps=400), quiet=True)
+    assert steps_of(folder) == [128, 256, 384, 512]
+    (folder / "DONE").unlink()
+    with pytest.raises(UserError, match=r"started with selector\.decision-steps 4, not 2"):
+        train_policy("ps-rl-3-env", replace(config, selector=SelectorConfig(decision_steps=2)), quiet=True)
+
+
+def test_a_selector_does_not_go_on_over_another_skill(config, tmp_path, finished_run):
+    for skill in ("walk", "climb", "leap"):
+        finished_run(tmp_path, skill)
+    folder = train_policy("ps-rl-3-env", config, quiet=True)
+    (folder / "DONE").unlink()
+    finished_run(tmp_path, "leap", gain=50.0)
+    with pytest.raises(UserError, match="was started over another leap"):
+        train_policy("ps-rl-3-env", replace(config, steps=1000), quiet=True)
+
+
+def test_the_discount_of_a_decision_is_that_of_its_steps(config, tmp_path, finished_run, monkeypatch):
+    for skill in ("walk", "climb", "leap"):
+        finished_run(tmp_path, skill)
+    made = []
+    create = runs.SelectorEnv
+    monkeypatch.setattr(runs, "SelectorEnv", lambda *args: made.append(create(*args)) or made[0])
+    config = replace(config, ppo=replace(TINY, gamma=0.5), selector=SelectorConfig(decision_steps=3, ent_coef=0.07))
+    from agility_ref import ppo
+
+    seen = []
+    monkeypatch.setattr(ppo, "train", lambda env, learner, *rest: seen.append(learner.config) or iter(()))
+    with pytest.raises(KeyboardInterrupt):
+        train_policy("ps-rl-3-oracle", config, quiet=True)
+    assert made[0].gamma == 0.5 and made[0].config.decision_steps == 3
+    assert seen[0].gamma == 0.125 and seen[0].ent_coef == 0.07  # 0.5^3
+
+
+@pytest.mark.parametrize("rounds", [0, 1, 4])
+def test_the_budget_is_the_same_with_and_without_dagger(config, tmp_path, finished_run, rounds):
+    for skill in ("walk", "climb-up", "climb-down", "leap", "beam"):
+        finished_run(tmp_path, skill)
+    config = replace(config, steps=90, supervised=replace(config.supervised, dagger_rounds=rounds))
+    folder = train_policy("ps-sl-5", replace(config, selector=SelectorConfig(decision_steps=10)), quiet=True)
+    states = int(float(progress(folder)[-1]["states"]))
+    # 90 states: 96 from 8 robots; 2 x 48 = 96; 5 x 24 = 120.  Never fewer than asked for.
+    assert states == {0: 96, 1: 96, 4: 120}[rounds]
+    assert load_policy("ps-sl-5", config).decision_steps == 10
+
+
+def test_the_supervised_selector_sees_every_course_and_level(config, monkeypatch):
+    spec = find_policy("ps-sl-5")
+    assert sorted(spec.courses) == sorted(COURSE_KINDS) and min(spec.budget) >= 300_000
+    seen = []
+    monkeypatch.setattr(runs, "load_bank", lambda *args: {})
+    monkeypatch.setattr(runs, "oracle_hierarchy", lambda *args: None)
+
+    def collect(env, *rest):
+        for _ in range(40):  # every robot draws another course
+            env.reset()
+            seen.append(env.course.copy())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runs, "collect_labels", collect)
+    config = replace(config, ppo=replace(TINY, num_envs=2 * len(spec.courses)), warm_start=False)
+    monkeypatch.setattr(runs, "requirements", lambda name: ())
+    monkeypatch.setattr(runs, "find_weights", lambda *args: "found")
+    with pytest.raises(KeyboardInterrupt):
+        train_policy("ps-sl-5", config, quiet=True)
+    assert set(np.concatenate(seen)) == set(range(len(spec.courses) * config.curriculum.num_levels))
+
+
+def test_supervised_selector_run(config, tmp_path, finished_run):
+    for skill in ("walk", "climb-up", "climb-down", "leap", "beam"):
+        finished_run(tmp_path, skill)
+    folder = train_policy("ps-sl-5", config, quiet=True)
+    assert (folder / "DONE").exists()
+    rounds = config.supervised.dagger_rounds + 1
+    assert len(progress(folder)) == rounds * config.supervised.epochs
+    arrays, meta = read_npz(folder / "policy.npz")
+    assert arrays["actor.0.weight"].shape[1] == NUM_SCANDOTS and meta["act_dim"] == 5
+    hierarchy = load_policy("ps-sl-5", config)
+    assert isinstance(hierarchy, Hierarchy)
+    assert hierarchy.act(np.zeros((2, OBS_DIM), np.float32), None)[0].shape == (2, ACTION_DIM)
+
+
+# --- distillation ----------------------------------------------------------------------
+
+
+def test_distilled_run(config, tmp_path, finished_run):
+    for skill in ("walk", "climb-up", "climb-down", "leap", "beam"):
+        finished_run(tmp_path, skill)
+    config = replace(config, steps=90, distill=DistillConfig(dagger_rounds=1, epochs=2))
+    folder = train_policy("distilled", config, quiet=True)
+    # 90 states in two rounds of at least 45: 4 robots see 48 each time
+    assert [(row["round"], row["states"]) for row in progress(folder)] == [("0", "48")] * 2 + [("1", "96")] * 2
+    arrays, meta = read_npz(folder / "policy.npz")
+    assert meta["steps"] == 96 and set(meta["teachers"]) == {"walk", "climb-up", "climb-down", "leap", "beam"}
+    assert not any(name.startswith("critic.") for name in arrays)
+    assert isinstance(load_policy("distilled", config), Single)
+
+
+def test_a_post_generalist_goes_on_from_the_distilled_policy(config, tmp_path, finished_run, monkeypatch):
+    from agility_ref.training import policies
+
+    budgets = {name: replace(spec, budget=(4 * BATCH, 4 * BATCH)) for name, spec in policies.POLICIES.items()}
+    budgets["distilled"] = replace(budgets["distilled"], budget=(2 * BATCH, 2 * BATCH))
+    monkeypatch.setattr(policies, "POLICIES", budgets)
+    for skill in ("walk", "climb-up", "climb-down", "leap", "beam"):
+        finished_run(tmp_path, skill)
+    fine_tune = FineTuneConfig(num_steps=4, critic_steps=BATCH)
+    config = replace(config, steps=0, distill=DistillConfig(dagger_rounds=1, epochs=1), fine_tune=fine_tune)
+    folder = train_policy("post-gen", config, quiet=True)
+    assert (tmp_path / "distilled" / "seed0" / "DONE").exists()
+    assert steps_of(folder) == [3 * BATCH, 4 * BATCH]
+    first, second = progress(folder)
+    # the entropy is a mean over the actor's steps, and it takes none while the critic learns alone
+    assert float(first["entropy"]) == 0.0 != float(second["entropy"])
+    np.testing.assert_allclose(float(first["std"]), fine_tune.std, rtol=1e-5)
+    arrays, meta = read_npz(folder / "policy.npz")
+    assert meta["start"] == 2 * BATCH and int(arrays["optimizer.actor_start"]) == 3 * BATCH
+
+
+def test_averages_go_on_where_they_were(tmp_path):
+    """10 new episodes among 190 like the last row's."""
+    row = {"steps": "64", "reward": "2", "episode_length": "100", "waypoint_fraction": "0.5", "edge_violation": "0.25"}
+    log = ProgressLog("walk", tmp_path, [row], 500, 1000, quiet=True)
+    episode = {"reward": 0.0, "length": 50, "waypoints": 8, "edge": 0.0}
+    record = dict.fromkeys(PROGRESS, 0.0) | {"steps": 96, "episodes": [episode] * 10}
+    log.add(record, 0.0, 0.0, {})
+    figures = {key: float(value) for key, value in log.rows[-1].items()}
+    assert figures["reward"] == pytest.approx(1.9)  # (190 2 + 10 0) / 200
+    assert figures["episode_length"] == pytest.approx(97.5)  # (190 100 + 10 50) / 200
+    assert figures["waypoint_fraction"] == pytest.approx(0.525)  # (190 4 + 10 8) / 200 / 8
+    assert figures["edge_violation"] == pytest.approx(23.75 / 97.5, rel=1e-5)  # 25 feet an episode, 190 of 200
+
+
+def test_the_bar_of_a_warm_start_begins_where_it_left_off(tmp_path):
+    assert ProgressLog("climb", tmp_path, [], 500, 1000, quiet=True).bar.n == 500
+
+
+@pytest.mark.parametrize(
+    "text, kept", [("a,b\n1,2\n3,4\n", 2), ("a,b\n1,2\n3,4", 1), ("a,b\n1,2\n3,", 1), ("a,b\n", 0), ("a,b", 0)]
+)
+def test_a_row_without_its_end_is_left_out(tmp_path, text, kept):
+    (tmp_path / "progress.csv").write_text(text)
+    assert len(read_rows(tmp_path / "progress.csv")) == kept
+
+
+@pytest.mark.parametrize("text", ["a,b\n1\n3,4\n", "a,b\n1,2,3\n", "a,b\n1,x\n", "a,b\n1,\n"])
+def test_a_damaged_progress_is_named(tmp_path, text):
+    (tmp_path / "progress.csv").write_text(text)
+    with pytest.raises(UserError, match=r"progress\.csv is damaged"):
+        read_progress(tmp_path / "progress.csv")

@@ -1,0 +1,100 @@
+import json
+
+import pytest
+
+from agility_ref.curriculum import PRESETS
+from agility_ref.env import ACTION_DIM
+from agility_ref.errors import UserError
+from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.policy import Policy, read_npz, write_npz
+from agility_ref.ppo import Learner, PPOConfig
+from agility_ref.training import weights
+from agility_ref.training.weights import sha256
+
+
+@pytest.fixture
+def run(finished_run, tmp_path):
+    """A finished run with a progress.csv of 100 rows."""
+    folder = finished_run(
+        tmp_path / "runs",
+        "walk",
+        seed=3,
+        wall_seconds=1.0,
+        courses=["walk"],
+        versions={"numpy": "2"},
+        **{"preset": "quick"},
+    )
+    arrays, meta = read_npz(folder / "policy.npz")
+    write_npz(folder / "policy.npz", arrays | {"optimizer.rate": arrays["log_std"]}, meta | {"seed": 3})
+    (folder / "progress.csv").write_text("steps,reward\n" + "".join(f"{k},{k / 2}\n" for k in range(100)))
+    return folder
+
+
+def test_shipping_keeps_the_policy_and_drops_the_optimiser(run, tmp_path):
+    path = weights.ship(run, tmp_path)
+    assert path.name == "walk-quick-seed3.npz"
+    arrays, _ = read_npz(path)
+    assert not any(name.startswith("optimizer.") for name in arrays)
+    before, after = Policy.load(run / "policy.npz"), Policy.load(path)
+    assert all((a[0] == b[0]).all() for a, b in zip(before.layers, after.layers, strict=True))
+    assert weights.shipped("quick", "walk", 3, tmp_path) == path
+    assert weights.shipped("quick", "walk", 0, tmp_path) is None
+
+
+def test_a_critic_is_shipped_with_what_others_start_from(run, finished_run, tmp_path):
+    assert any(name.startswith("critic.") for name in read_npz(weights.ship(run, tmp_path))[0])
+    leap = finished_run(
+        tmp_path / "runs", "leap", preset="quick", seed=0, wall_seconds=1.0, courses=["gap"], versions={}
+    )
+    arrays, meta = read_npz(leap / "policy.npz")
+    write_npz(leap / "policy.npz", arrays, meta | {"seed": 0})
+    assert any(name.startswith("critic.") for name in arrays)
+    (leap / "progress.csv").write_text("steps,reward\n1,1\n")
+    path = weights.ship(leap, tmp_path)
+    assert not any(name.startswith("critic.") for name in read_npz(path)[0])
+    Policy.load(path)
+
+
+def test_the_manifest_keeps_digest_record_and_a_short_curve(run, tmp_path):
+    path = weights.ship(run, tmp_path)
+    entry = json.loads((tmp_path / "manifest.json").read_text())[path.name]
+    assert entry["sha256"] == sha256(path)
+    assert (entry["policy"], entry["seed"], entry["steps"]) == ("walk", 3, 1000)
+    assert 0 < len(entry["curve"]["steps"]) <= 2 * weights.CURVE_POINTS
+    assert entry["curve"]["steps"][-1] == 99
+
+
+def test_weights_that_differ_from_the_manifest_are_refused_by_name(run, tmp_path):
+    path = weights.ship(run, tmp_path)
+    path.write_bytes(path.read_bytes() + b"x")
+    with pytest.raises(UserError, match=r"walk-quick-seed3\.npz"):
+        weights.shipped("quick", "walk", 3, tmp_path)
+
+
+def test_an_unfinished_run_is_not_shipped(run, tmp_path):
+    (run / "DONE").unlink()
+    with pytest.raises(UserError, match="finished"):
+        weights.ship(run, tmp_path)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_others_can_start_from_the_shipped_walk(preset):
+    path = weights.shipped(preset, "walk", 0)
+    if path is None:
+        pytest.skip(f"no walk of preset {preset} ships")
+    arrays, meta = read_npz(path)
+    learner = Learner.create(OBS_DIM, ACTION_DIM, PPOConfig(), 0, fixed=SCANDOTS)
+    learner.warm_start(arrays, meta["steps"], 0.5)
+    assert learner.steps == learner.start == meta["steps"]
+    assert (learner.net.actor[0].weight.detach().numpy() == arrays["actor.0.weight"]).all()
+    assert not learner.training_arrays().keys() - {"optimizer.learning_rate", "optimizer.actor_start"}
+    assert learner.net.log_std.exp().detach().numpy() == pytest.approx(0.5)
+
+
+def test_what_the_package_ships_is_what_its_manifest_records():
+    files = {path.name for path in weights.FOLDER.glob("*.npz")}
+    entries = weights.manifest()
+    assert files == set(entries)
+    for name in files:
+        assert sha256(weights.FOLDER / name) == entries[name]["sha256"]
+    assert sum((weights.FOLDER / name).stat().st_size for name in files) <= 15e6
