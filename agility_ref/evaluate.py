@@ -246,8 +246,10 @@ def evaluate(
 
     Raises
     ------
+    UserError : as :func:`evaluation_courses`
     ValueError : another protocol; :func:`agility_ref.results.published.evaluate_by_protocol` has both
     """
+    check_evaluation(config)
     if config.protocol != "complete":
         raise ValueError(f"evaluate plays complete episodes, not {config.protocol}")
     env = evaluation_env(environment, config, env_config)

@@ -23,6 +23,7 @@ from agility_ref.evaluate import (
     waypoint_fraction,
 )
 from agility_ref.observation import observation_slices
+from agility_ref.results.published import evaluate_by_protocol
 from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, SKILLS
 from agility_ref.training.policies import ENVIRONMENTS
@@ -283,7 +284,7 @@ PUBLISHED = replace(FEW, protocol="as-published")
 
 
 def test_who_falls_early_counts_several_times(make_policy):
-    evaluation = evaluate(Jump("jump", make_policy()), "walk", PUBLISHED, SHORT)
+    evaluation = evaluate_by_protocol(Jump("jump", make_policy()), "walk", PUBLISHED, SHORT)
     # 45 steps: robot 0 ends in steps 3 and 33, the others in step 30 alone
     np.testing.assert_array_equal(evaluation.episode_length, [3, 30, 30, 30])
     np.testing.assert_array_equal(evaluation.fell, [True, False, False, False])
@@ -295,7 +296,7 @@ def test_who_falls_early_counts_several_times(make_policy):
 
 def test_the_first_episodes_are_those_of_the_complete_protocol(single):
     # The same courses, starts, noise and pushes until the first end.
-    complete, published = (evaluate(single, "walk", c, SHORT) for c in (FEW, PUBLISHED))
+    complete, published = (evaluate_by_protocol(single, "walk", c, SHORT) for c in (FEW, PUBLISHED))
     first = int(complete.episode_length.argmin())
     assert published.reward[0] == pytest.approx(complete.reward[first])
     assert published.episode_length[0] == complete.episode_length[first]
@@ -303,7 +304,7 @@ def test_the_first_episodes_are_those_of_the_complete_protocol(single):
 
 def test_choices_are_measured_in_complete_episodes_only(five_skills):
     oracle = oracle_hierarchy("oracle", five_skills)
-    published = evaluate(oracle, "gap", PUBLISHED, SHORT)
+    published = evaluate_by_protocol(oracle, "gap", PUBLISHED, SHORT)
     assert published.skill is None and published.choices() == {}
 
 

@@ -217,7 +217,7 @@ def test_a_seed_without_weights_leaves_the_others(tmp_path, played):
 
 def test_an_interrupted_table_goes_on(tmp_path, played, monkeypatch):
     whole = [row.ours for row in table_rows(compute(tmp_path, (0, 1), "whole")[0])]
-    everything, simulation = list(played), cells.evaluate
+    everything, simulation = list(played), cells.evaluate_by_protocol
     played.clear()
 
     def stops(policy, environment, config):

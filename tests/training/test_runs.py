@@ -11,6 +11,7 @@ from agility_ref.curriculum import CurriculumConfig
 from agility_ref.env import ACTION_DIM, EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
+from agility_ref.pictures.plots import learning_curve
 from agility_ref.policy import read_npz, write_npz
 from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.rewards import RewardConfig
@@ -27,17 +28,10 @@ BATCH = 8 * 4
 TINY = PPOConfig(num_envs=8, num_steps=4, hidden=(8,), update_epochs=1, num_minibatches=1)
 
 
-@pytest.fixture
-def drawing():
-    """Ask for this to have learning curves drawn, which takes longer than the tiny runs."""
-
-
 @pytest.fixture(autouse=True)
-def quick_and_alone(monkeypatch, tmp_path, request):
-    """Tests find their own runs only, and draw no figures unless they ask to."""
+def alone(monkeypatch):
+    """Tests find their own runs only."""
     monkeypatch.setattr("agility_ref.training.weights.shipped", lambda *key: None)
-    if "drawing" not in request.fixturenames:
-        monkeypatch.setattr("agility_ref.pictures.plots.learning_curve", lambda *args: None)
 
 
 @pytest.fixture
@@ -60,8 +54,8 @@ def steps_of(folder):
 # --- a run -----------------------------------------------------------------------------
 
 
-def test_a_run_writes_its_files(config, tmp_path, drawing):
-    folder = train_policy("walk", config, quiet=True)
+def test_a_run_writes_its_files(config, tmp_path):
+    folder = train_policy("walk", config, quiet=True, draw=learning_curve)
     assert folder == tmp_path / "walk" / "seed0"
     written = {p.name for p in folder.iterdir()}
     assert {"DONE", "config.json", "learning_curve.png", "policy.npz", "progress.csv"} <= written
@@ -111,9 +105,9 @@ def test_same_seed_same_run(config, tmp_path):
         np.testing.assert_array_equal(first[name], second[name], err_msg=name)
 
 
-def test_a_long_run_of_short_iterations(config, drawing):
+def test_a_long_run_of_short_iterations(config):
     tiny = PPOConfig(num_envs=1, num_steps=2, hidden=(4,), update_epochs=1, num_minibatches=1)
-    folder = train_policy("walk", replace(config, ppo=tiny, steps=2 * 120), quiet=True)
+    folder = train_policy("walk", replace(config, ppo=tiny, steps=2 * 120), quiet=True, draw=learning_curve)
     assert len(steps_of(folder)) == 120
 
 
@@ -121,10 +115,8 @@ def test_the_learning_curve_is_redrawn_along_the_way(config, monkeypatch):
     # A clock on which every reading is 10 s later than the last, three and a half readings an iteration; a curve a minute.
     clock, drawn = count(0.0, 10.0), []
     monkeypatch.setattr(runs.time, "monotonic", lambda: next(clock))
-    monkeypatch.setattr(
-        "agility_ref.pictures.plots.learning_curve", lambda csv, png, name: drawn.append(len(read_rows(csv)))
-    )
-    train_policy("walk", replace(config, steps=6 * BATCH), quiet=True)
+    config = replace(config, steps=6 * BATCH)
+    train_policy("walk", config, quiet=True, draw=lambda csv, png, name: drawn.append(len(read_rows(csv))))
     assert 1 < len(drawn) < 7 and drawn == sorted(drawn) and drawn[0] < drawn[-1] == 6
 
 
@@ -428,10 +420,8 @@ def test_the_discount_of_a_decision_is_that_of_its_steps(config, tmp_path, finis
     create = runs.SelectorEnv
     monkeypatch.setattr(runs, "SelectorEnv", lambda *args: made.append(create(*args)) or made[0])
     config = replace(config, ppo=replace(TINY, gamma=0.5), selector=SelectorConfig(decision_steps=3, ent_coef=0.07))
-    from agility_ref import ppo
-
     seen = []
-    monkeypatch.setattr(ppo, "train", lambda env, learner, *rest: seen.append(learner.config) or iter(()))
+    monkeypatch.setattr(runs, "train", lambda env, learner, *rest: seen.append(learner.config) or iter(()))
     with pytest.raises(KeyboardInterrupt):
         train_policy("ps-rl-3-oracle", config, quiet=True)
     assert made[0].gamma == 0.5 and made[0].config.decision_steps == 3
