@@ -10,7 +10,8 @@ from agility_ref.stats import bootstrap_interval, iqm, paired_difference, t_inte
 
 
 def modules():
-    return [f"agility_ref.{m.name}" for m in pkgutil.iter_modules(agility_ref.__path__) if m.name != "__main__"]
+    found = pkgutil.walk_packages(agility_ref.__path__, "agility_ref.")
+    return [module.name for module in found if module.name != "agility_ref.__main__"]
 
 
 @pytest.mark.parametrize("name", modules())

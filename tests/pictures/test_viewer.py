@@ -71,7 +71,7 @@ def test_no_gl_is_one_line_with_the_packages(monkeypatch, capsys):
 # --- video --------------------------------------------------------------------------------
 
 FILM = """
-from agility_ref.cli import main
+from agility_ref.cli.main import main
 import sys
 sys.exit(main(sys.argv[1:]))
 """
