@@ -29,34 +29,15 @@ VAR_FLOOR = 1e-8  # added to a variance before its root is taken
 def write_npz(path: Path, arrays: dict[str, np.ndarray], meta: dict, compress: bool = True) -> None:
     """Write a checkpoint under a temporary name, then rename: never half a file.
 
-    Compression saves a seventh of the size and takes fifteen times as long.  The weights then lie as
-    byte planes, see :func:`_byte_planes`.
+    Compression saves a tenth of the size and takes fifteen times as long.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     record = json.dumps({"schema": SCHEMA, **meta}, sort_keys=True)
     partial = path.with_suffix(".partial")
     with open(partial, "wb") as file:
-        if compress:
-            planes = {name: _byte_planes(a) if a.dtype == np.float32 else a for name, a in arrays.items()}
-            np.savez_compressed(file, __meta__=np.array(record), **planes)
-        else:
-            np.savez(file, __meta__=np.array(record), **arrays)
+        (np.savez_compressed if compress else np.savez)(file, __meta__=np.array(record), **arrays)
     os.replace(partial, path)
-
-
-def _byte_planes(array: np.ndarray) -> np.ndarray:
-    """Split float32 (...) into its bytes, uint8 (4, ...).
-
-    The lowest bytes of a weight are noise, the highest hold sign and exponent and repeat: side by
-    side they compress (the "shuffle" filter of HDF5).
-    """
-    return np.moveaxis(np.frombuffer(array.tobytes(), np.uint8).reshape(*array.shape, 4), -1, 0)
-
-
-def _join_planes(planes: np.ndarray) -> np.ndarray:
-    """Undo :func:`_byte_planes`: uint8 (4, ...) -> float32 (...)."""
-    return np.ascontiguousarray(np.moveaxis(planes, 0, -1)).view(np.float32).reshape(planes.shape[1:])
 
 
 def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict]:
@@ -72,7 +53,6 @@ def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict]:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        arrays = {name: _join_planes(a) if a.dtype == np.uint8 else a for name, a in arrays.items()}
         meta = json.loads(str(arrays.pop("__meta__")))
         schema = meta["schema"]
     except (
@@ -127,14 +107,10 @@ class Policy:
 
     name: str
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
-    mean: np.ndarray
-    """(obs_dim,) subtracted from the observation."""
-    std: np.ndarray
-    """(obs_dim,) divides the difference."""
-    low: np.ndarray
-    """(obs_dim,) the quotient is clipped to this, -5 or where the checkpoint's ``seen.low`` lies, if that is higher ..."""
-    high: np.ndarray
-    """... and to this, 5 or where ``seen.high`` lies."""
+    mean: np.ndarray  # (obs_dim,) subtracted from the observation
+    std: np.ndarray  # (obs_dim,) divides the difference
+    low: np.ndarray  # (obs_dim,) the quotient is clipped to this, -5 or where the checkpoint's ``seen.low`` lies, if that is higher 
+    high: np.ndarray  # ... and to this, 5 or where ``seen.high`` lies
     meta: dict
 
     @classmethod

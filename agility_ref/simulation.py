@@ -77,7 +77,7 @@ class Simulation:
     home : (19,) qpos of the home pose
     qpos, qvel : (N, 19), (N, 18) trunk position, quaternion wxyz and joints; their velocities
     ctrl : (N, 12) joint targets [rad]
-    sensors : (N, 37), see :func:`~agility_ref.go1.make_xml`
+    sensors : (N, 37), see :meth:`columns`
     foot_pos : (N, 4, 3) centres of the feet [m]
     torque : (N, 12) [N m]
     errors : simulations that failed so far
@@ -116,6 +116,11 @@ class Simulation:
         self.foot_pos = self.batch.bind("site_xpos")
         self.torque = self.batch.bind("actuator_force")
         self.errors = 0
+
+    def columns(self, names: tuple[str, ...]) -> np.ndarray:
+        """Return where the named sensors of :func:`~agility_ref.go1.make_xml` stand in ``sensors``."""
+        found = [self.models[0].sensor(name) for name in names]
+        return np.concatenate([sensor.adr + np.arange(sensor.dim[0]) for sensor in found])
 
     def place(self, ids: np.ndarray, course: np.ndarray, qpos: np.ndarray) -> None:
         """Put robots ``ids`` at rest on courses (n,), indices of the models, in poses qpos (n, 19)."""

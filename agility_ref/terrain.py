@@ -52,10 +52,8 @@ class Box:
     x1: float
     y0: float
     y1: float
-    top: float
-    """Height of the walking surface [m]."""
-    walkable: bool = True
-    """False for the floor of a pit: standing on it is having fallen off."""
+    top: float  # height of the walking surface [m]
+    walkable: bool = True  # false for the floor of a pit: standing on it is having fallen off
 
 
 @dataclass(frozen=True)
@@ -75,8 +73,7 @@ class Course:
     difficulty: float
     boxes: tuple[Box, ...]
     obstacles: tuple[Obstacle, ...]
-    waypoints: np.ndarray
-    """(8, 2) xy of the waypoints [m]."""
+    waypoints: np.ndarray  # (8, 2) xy of the waypoints [m]
 
 
 def snap(length: float) -> float:

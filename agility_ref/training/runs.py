@@ -23,12 +23,10 @@ import numpy as np
 from agility_ref.curriculum import Curriculum, CurriculumConfig, find_preset, training_world
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.errors import UserError
-from agility_ref.networks import Categorical, Gaussian
-from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS, sight
+from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOTS, Mirror, sight
 from agility_ref.policy import Policy, read_npz, write_npz
 from agility_ref.ppo import Learner, PPOConfig, train
 from agility_ref.selector import (
-    SelectorConfig,
     SelectorEnv,
     Single,
     SupervisedConfig,
@@ -49,7 +47,6 @@ from agility_ref.training.bank import (
     weights_path,
 )
 from agility_ref.training.distill import DistillConfig, FineTuneConfig, collect_actions, fit_student
-from agility_ref.training.limits import check_settings
 from agility_ref.training.policies import PolicySpec, find_policy, requirements
 from agility_ref.training.progress import ProgressLog, StopRequest, read_rows, versions, write_csv, write_text
 
@@ -75,8 +72,8 @@ class TrainConfig(WeightsConfig):
     """Hyper-parameters of PPO."""
     curriculum: CurriculumConfig = CurriculumConfig()
     """The levels."""
-    selector: SelectorConfig = SelectorConfig()
-    """Decisions of the learned selectors."""
+    selector_ent_coef: float = 0.01
+    """Entropy bonus of the PPO selectors, against mode collapse; usual 0.005 to 0.05."""
     supervised: SupervisedConfig = SupervisedConfig()
     """Training of the supervised selector."""
     distill: DistillConfig = DistillConfig()
@@ -101,15 +98,10 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False, draw: Draw
     """
     spec = find_policy(name)
     find_preset(config.preset)
-    check_settings(spec, config)
     if spec.method == "oracle":
         raise UserError(
             "the oracle needs no training: it reads the region map; train its skills: " + ", ".join(spec.skills)
         )
-    if (config.env.gait_clock or config.ppo.mirror) and spec.method != "ppo":
-        raise UserError("env.gait-clock and ppo.mirror are for skills and generalists")
-    if config.env.gait_clock and config.ppo.mirror:
-        raise UserError("env.gait-clock does not go with ppo.mirror")
     folder = run_folder(config.root, name, config.seed)
     aside, replaces = folder.with_name(f"{folder.name}.old"), (folder / "DONE").exists()
     if replaces:
@@ -157,23 +149,22 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
     total = config.steps or spec.steps(config.preset)
     ppo = config.ppo
     selector = spec.method == "ppo-selector"
-    hold = config.selector.decision_steps if selector else 1
     if selector:
-        ppo = replace(ppo, ent_coef=config.selector.ent_coef, gamma=ppo.gamma**hold)
+        ppo = replace(ppo, ent_coef=config.selector_ent_coef)
         config = replace(config, curriculum=replace(config.curriculum, enabled=False))
     elif _goes_on_from_distilled(spec) and config.warm_start:
         ppo = config.fine_tune.apply(ppo)
     env, curriculum = make_env(spec, config)
-    act_dim = len(spec.skills) if selector else ACTION_DIM
-    distribution = Categorical if selector else Gaussian
+    # What is seen mirrored asks for the same skill, and for the mirrored action.
+    act_mirror = Mirror.identity(len(spec.skills)) if selector else ACTION_MIRROR
     seen = {}
     if config.sight and not selector:  # which chooses on all courses and is to see them as they are
-        seen["seen.low"], seen["seen.high"] = sight(env.world, config.env.obs_dim)
-    learner = Learner.create(config.env.obs_dim, act_dim, ppo, config.seed, distribution, fixed=SCANDOTS)
+        seen["seen.low"], seen["seen.high"] = sight(env.world)
+    learner = Learner.create(OBS_MIRROR, act_mirror, ppo, config.seed, selector, fixed=SCANDOTS)
     skills = load_bank(spec.skills, config)
     bank = digests(skills)
     if selector:
-        env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward, config.selector, config.ppo.gamma)
+        env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward)
     rows = _resume_or_warm_start(spec, config, folder, learner, curriculum, bank)
     if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
@@ -185,12 +176,12 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
     start = last_drawn - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
 
     def save(compress: bool) -> None:
-        arrays = learner.arrays() | learner.training_arrays() | seen
+        arrays = learner.policy_arrays() | learner.state() | seen
         arrays |= {f"curriculum.{name}": value for name, value in curriculum.state().items()}
         meta = {
             "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": learner.steps,
-            "start": learner.start, "courses": spec.courses, "act_dim": act_dim, "obs_dim": config.env.obs_dim,
-            "versions": versions(), "wall_seconds": time.monotonic() - start, "decision_steps": hold, "config": asdict(config),
+            "start": learner.start, "courses": spec.courses, "act_dim": len(act_mirror.index), "obs_dim": OBS_DIM,
+            "versions": versions(), "wall_seconds": time.monotonic() - start, "config": asdict(config),
             "skills": bank,
         }  # fmt: skip
         log.write()
@@ -198,11 +189,9 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
 
     with stop:
         for record in train(env, learner, total, stop.requested):
-            # PPO has counted decisions; budgets are in control steps.
-            learner.steps += (hold - 1) * ppo.batch_size
-            record |= {"steps": learner.steps, "steps_per_second": hold * record["steps_per_second"]}
-            levels = dict(zip(kinds, curriculum.mean_levels(), strict=False))
-            log.add(record, time.monotonic() - start, curriculum.mean_level(), levels)
+            levels = curriculum.levels()
+            by_kind = dict(zip(kinds, levels, strict=False))
+            log.add(record, time.monotonic() - start, float(levels.mean()), by_kind)
             save(compress=False)  # every time: even a killed run loses no more than one iteration
             if draw and time.monotonic() - last_drawn > 60.0:
                 last_drawn = time.monotonic()
@@ -234,18 +223,19 @@ def _resume_or_warm_start(
                 raise UserError(f"{folder} was started with {flag} {began}, not {ours}; give that, or another --out")
         for other in other_skills(meta, bank):
             raise UserError(f"{folder} was started over another {other}; give its folder, or another --out")
-        if not {"curriculum.level", "normalizer.count"} <= arrays.keys():
+        if not {"curriculum.frontier", "net.log_std"} <= arrays.keys():
             raise UserError(f"{saved} can act but not be trained further: it lacks the state of a training run")
-        learner.load_arrays(arrays)
+        learner.load_state(arrays)
         learner.steps, learner.start = meta["steps"], meta.get("start", 0)
-        learner.generator.manual_seed(config.seed + learner.steps)  # not the noise of the first part again
-        curriculum.load_state({"level": arrays["curriculum.level"]})
+        curriculum.load_state({name: arrays[f"curriculum.{name}"] for name in curriculum.state()})
         log = folder / "progress.csv"  # none where it was stopped before the first iteration
         return [row for row in read_rows(log) if int(row["steps"]) <= learner.steps] if log.exists() else []
     if spec.warm_start and config.warm_start:
         source = weights_path(spec.warm_start, config)
         arrays, meta = read_npz(source)
         check_interface(source, meta, config.env)
+        if "net.log_std" not in arrays and "net.actor.even.0.weight" not in arrays:
+            raise UserError(f"{source} holds a network without symmetry; train {spec.warm_start} anew, with --out")
         hidden = tuple(meta.get("config", {}).get("ppo", {}).get("hidden", config.ppo.hidden))
         if hidden != tuple(config.ppo.hidden):
             raise UserError(
@@ -272,8 +262,7 @@ def _imitate(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -
     }  # fmt: skip
     if spec.method == "supervised":
         how, loss = config.supervised, "cross_entropy"
-        meta |= {"obs_dim": NUM_SCANDOTS, "act_dim": len(bank), "decision_steps": config.selector.decision_steps}
-        meta["skills"] = digests(bank)
+        meta |= {"obs_dim": NUM_SCANDOTS, "act_dim": len(bank), "skills": digests(bank)}
         collect = collect_labels
         fit = partial(fit_selector, num_skills=len(bank), config=how, seed=config.seed)
         student = partial(selector_hierarchy, spec.name, bank)

@@ -94,7 +94,7 @@ def ship(run: Path, folder: Path = FOLDER) -> Path:
         raise UserError(f"{run} holds no finished run")
     arrays, meta = read_npz(run / "policy.npz")
     # Critics are half of a file, and only training that starts from a policy asks for one.
-    dropped = ("optimizer.", "curriculum.") + (() if meta["policy"] in WARM_STARTS else ("critic.",))
+    dropped = ("optimizer.", "curriculum.") + (() if meta["policy"] in WARM_STARTS else ("net.", "normalizer.count"))
     kept = {name: a for name, a in arrays.items() if not name.startswith(dropped)}
     path = folder / file_name(meta["preset"], meta["policy"], meta["seed"])
     write_npz(path, kept, {key: value for key, value in meta.items() if key != "schema"})
