@@ -115,7 +115,7 @@ class EquivariantMLP(nn.Module):
         for half, layers in enumerate((self.even, self.odd)):
             sizes = [len(bases_in[half]), *(units // 2 for units in hidden), len(bases_out[half])]
             for n_in, n_out in itertools.pairwise(sizes):
-                if n_in and n_out:  # an invariant output has no odd part, and neither has an input without handedness
+                if n_out or half == 0:  # an invariant output has no odd part
                     last = len(layers) == len(hidden)
                     layers.append(nn.Linear(n_in, n_out, bias=half == 0))
                     nn.init.orthogonal_(layers[-1].weight, last_gain if last else 1.0)

@@ -7,7 +7,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import pytest
 
 from agility_ref.env import ACTION_DIM
-from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOT_MIRROR, SCANDOTS, Mirror
 from agility_ref.policy import Policy, write_npz
 from agility_ref.ppo import Learner, PPOConfig
 
@@ -17,10 +17,12 @@ SKILLS = ("walk", "climb-up", "climb-down", "leap", "beam")
 def random_arrays(seed=0, obs_dim=OBS_DIM, act_dim=ACTION_DIM, gain=1.0):
     """Weights of an untrained network; gain > 1 makes it move more than a beginner's."""
     fixed = SCANDOTS if obs_dim == OBS_DIM else slice(0, 0)
-    learner = Learner.create(obs_dim, act_dim, PPOConfig(hidden=(16,)), seed, fixed=fixed)
-    arrays = learner.arrays()
-    arrays["actor.2.weight"] *= gain
-    return arrays
+    obs_mirror = {OBS_DIM: OBS_MIRROR, NUM_SCANDOTS: SCANDOT_MIRROR}.get(obs_dim, Mirror.identity(obs_dim))
+    act_mirror = ACTION_MIRROR if act_dim == ACTION_DIM else Mirror.identity(act_dim)
+    learner = Learner.create(obs_mirror, act_mirror, PPOConfig(hidden=(16,)), seed, fixed=fixed)
+    for half in (learner.net.actor.even, learner.net.actor.odd):
+        half[-1].weight.data *= gain
+    return learner.policy_arrays() | learner.state()
 
 
 @pytest.fixture
