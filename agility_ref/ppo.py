@@ -400,7 +400,7 @@ def train(env, learner: Learner, total_steps: int, stop: Callable[[], bool] = la
             "steps": learner.steps,
             "steps_per_second": learner.config.batch_size / (time.perf_counter() - start),
             "learning_rate": learner.learning_rate,
-            "std": float(learner.net.std().mean()),
+            "std": float(learner.net.std().detach().mean()),
             "episodes": rollout.episodes,
             **losses,
         }

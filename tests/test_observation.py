@@ -151,7 +151,9 @@ def test_rotations_are_orthogonal():
 
 def test_a_turn_to_the_left_by_hand():
     half = np.sqrt(0.5)  # 90 degrees about z: x turns to y, y to -x
-    np.testing.assert_allclose(rotation(np.array([[half, 0, 0, half]]))[0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
+    np.testing.assert_allclose(
+        rotation(np.array([[half, 0, 0, half]]))[0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12
+    )
 
 
 def test_wrap_keeps_the_angle_and_its_range():
