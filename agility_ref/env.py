@@ -78,10 +78,7 @@ class EnvConfig:
 # back, which it meets too rarely to learn; and one that stands before an obstacle for the rest
 # of 20 s fills the batch with nothing.
 TRAINING = EnvConfig(turned_start_share=0.1, stall_seconds=5.0)
-
-
 ACTION_DIM = 12
-
 NextCourse = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
 
 
@@ -146,13 +143,11 @@ class Go1Env:
         seed: int = 0,
         num_threads: int = 0,
     ):
-        """Compile one model a course and start N simulations.
+        """Compile one model per course and start N = ``num_envs`` simulations.
 
         Parameters
         ----------
-        world : the courses
-        num_envs : N
-        config : the task
+        world, config : the courses and the task
         next_course : called with (robots, waypoint fractions or None), returns their next
             courses; by default courses are drawn uniformly
         seed : of friction and payload per course, and of everything drawn later
@@ -180,28 +175,22 @@ class Go1Env:
 
         n = num_envs
         self._everyone = np.arange(n)
-        self.course = np.zeros(n, int)
-        self.waypoint_index = np.zeros(n, int)
+        self.course, self.waypoint_index = np.zeros(n, int), np.zeros(n, int)
         self.command = np.ones(n)
         self.base_lin_vel = np.zeros((n, 3))  # in the trunk's frame [m/s]
         self.projected_gravity = np.zeros((n, 3))
         self.yaw = np.zeros(n)  # [rad]
         self.goal = np.zeros((n, 2))  # from the trunk to the current waypoint [m]
         self.heading_error = np.zeros((n, 2))  # to the current and the next waypoint [rad]
-        self.foot_contact = np.zeros((n, 4), bool)
-        self.foot_on_edge = np.zeros((n, 4), bool)
-        self._reach_timer = np.zeros(n, int)
-        self._step_count = np.zeros(n, int)
+        self.foot_contact, self.foot_on_edge = np.zeros((n, 4), bool), np.zeros((n, 4), bool)
+        self._reach_timer, self._step_count = np.zeros(n, int), np.zeros(n, int)
         self._reach_step = np.zeros(n, int)  # step count at the last waypoint
         self.push_timer = np.zeros(n, int)  # control steps until the next push, 1 before the step that it strikes in
         self._last_action = np.zeros((n, ACTION_DIM))
         self._scandots = np.zeros((n, NUM_SCANDOTS), np.float32)
         self._clock = 0  # actions since the environment was made
-        self._episode_reward = np.zeros(n)
-        self._episode_edge = np.zeros(n)
+        self._episode_reward, self._episode_edge = np.zeros(n), np.zeros(n)
         self.reset(seed)
-
-    # ------------------------------------------------------------------ public
 
     def reset(self, seed: int | None = None) -> tuple[np.ndarray, dict]:
         """Start new episodes of all robots; return the observation and an empty info."""
@@ -273,14 +262,8 @@ class Go1Env:
         final_obs = observation.copy()
         if len(done):
             final_obs[done] = last_observation
-        info = {
-            "final_obs": final_obs,
-            "totals": totals,
-            "reward_terms": terms,
-            "feet_on_edge": feet_on_edge,
-            "kind": kind,
-        }
-        return observation, reward, terminated, truncated, info
+        info = {"final_obs": final_obs, "totals": totals, "reward_terms": terms, "feet_on_edge": feet_on_edge}
+        return observation, reward, terminated, truncated, info | {"kind": kind}
 
     @property
     def base_pos(self) -> np.ndarray:
@@ -290,8 +273,6 @@ class Go1Env:
     def oracle_skill(self) -> np.ndarray:
         """(N,) skill, an index into SKILLS, that the region map names at each robot's x."""
         return self.world.regions[self.course, self.world.column(self._qpos[:, 0])].astype(int)
-
-    # ------------------------------------------------------------------ starts and pushes
 
     def _push(self, direction: np.ndarray) -> None:
         """Overwrite the horizontal velocity of the robots whose push is due; direction (N, 2) in +-1."""
@@ -335,8 +316,6 @@ class Go1Env:
         qpos[:, 3], qpos[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
         qpos[:, 7:] += shift[:, 3:]
         return qpos
-
-    # ------------------------------------------------------------------ state
 
     def _update_kinematics(self) -> None:
         """Refresh what follows from the poses and velocities."""

@@ -151,7 +151,11 @@ class EquivariantMLP(nn.Module):
         for o in self.odd[hidden:]:
             weight += self.join[n_even:].T @ o.weight @ odd_in
         layers.append((weight, last.bias @ self.join[:n_even]))
-        return {f"{i}.{name}": x.numpy() for i, layer in enumerate(layers) for name, x in zip(("weight", "bias"), layer)}
+        return {
+            f"{i}.{name}": x.numpy()
+            for i, layer in enumerate(layers)
+            for name, x in zip(("weight", "bias"), layer, strict=True)
+        }
 
 
 class ActorCritic(nn.Module):

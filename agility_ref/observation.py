@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH, SPAWN_X
+from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH
 from agility_ref.world import World
 
 SCANDOT_X = np.arange(-0.45, 1.21, 0.15, dtype=np.float32)  # (12,) [m] ahead of the trunk
@@ -19,7 +19,6 @@ SCANDOT_Y = np.arange(-0.75, 0.76, 0.15, dtype=np.float32)  # (11,) [m] to its l
 NUM_SCANDOTS = len(SCANDOT_X) * len(SCANDOT_Y)  # 132
 SCANDOT_ZERO = 0.3  # [m] under the trunk: ground there reads 0
 SCANDOT_STD = 0.3  # [m] by which networks divide scandots, whose own spread depends on the course
-SIGHT_MARGIN = 0.1  # [m] by which a walking trunk bobs, and what noise adds
 _GRID = np.stack(np.meshgrid(SCANDOT_X, SCANDOT_Y, indexing="ij")).reshape(2, -1) / np.float32(CELL)  # in cells
 _LAST_CELL = np.array([[n - 1] for n in GRID_SHAPE], np.int32)
 
@@ -147,36 +146,3 @@ def scandots(world: World, course: np.ndarray, pos: np.ndarray, yaw: np.ndarray)
     flat += (course * (GRID_SHAPE[0] * GRID_SHAPE[1])).astype(np.int32)[:, None]
     seen = (pos[:, 2:] - SCANDOT_ZERO).astype(np.float32) - world.scan.reshape(-1).take(flat)
     return np.minimum(np.maximum(seen, -1.0, out=seen), 1.0, out=seen)
-
-
-def sight(world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest observation that a robot can make which walks these courses as it should.
-
-    It stands upright anywhere on the line through the waypoints, on the lower or the upper of two
-    levels where they meet, and over pits on the level of their banks.  Only the scandots are
-    bounded, and by SIGHT_MARGIN more than was seen.
-
-    Ours: the paper does not say what a specialist makes of ground that its own courses do not have.  A
-    network is of no use on inputs far from those it was trained on, so a trained policy clips them
-    to these bounds: to one that climbs up, a pit looks as the level ground before a step.
-
-    Parameters
-    ----------
-    world : the courses that a policy is trained on
-
-    Returns
-    -------
-    (184,) lowest and (184,) highest, infinite but for the scandots
-    """
-    low, high = np.full(OBS_DIM, -np.inf, np.float32), np.full(OBS_DIM, np.inf, np.float32)
-    views = []
-    for course, waypoints in enumerate(world.waypoints):
-        x = np.arange(SPAWN_X, waypoints[-1, 0] + 0.5, 0.05)
-        on = np.full(len(x), course)
-        line = np.column_stack([x, np.interp(x, *waypoints.T)])
-        lower = world.support[course, world.column(x)]
-        for level in (lower, np.maximum(lower, world.ground(course, line))):
-            views.append(scandots(world, on, np.column_stack([line, level + SCANDOT_ZERO]), np.zeros(len(x))))
-    seen = np.concatenate(views)
-    low[SCANDOTS], high[SCANDOTS] = seen.min(axis=0) - SIGHT_MARGIN, seen.max(axis=0) + SIGHT_MARGIN
-    return low, high

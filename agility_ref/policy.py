@@ -109,7 +109,9 @@ class Policy:
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
     mean: np.ndarray  # (obs_dim,) subtracted from the observation
     std: np.ndarray  # (obs_dim,) divides the difference
-    low: np.ndarray  # (obs_dim,) the quotient is clipped to this, -5 or where the checkpoint's ``seen.low`` lies, if that is higher 
+    low: (
+        np.ndarray
+    )  # (obs_dim,) the quotient is clipped to this, -5 or where the checkpoint's ``seen.low`` lies, if that is higher
     high: np.ndarray  # ... and to this, 5 or where ``seen.high`` lies
     meta: dict
 

@@ -75,7 +75,7 @@ class Learner:
     learning_rate: float = field(init=False)
     steps: int = 0  # environment steps so far, warm start included
     start: int = 0  # of these, the warm start's
-    actor_start: int = 0  # environment steps up to which the critic learns alone, see warm_start
+    actor_start: int = 0  # environment steps up to which the critic learns alone, after a start without critic
     anneal: float = 1.0  # factor of KL target and floor of the step size, see schedule
 
     def __post_init__(self):
@@ -110,73 +110,6 @@ class Learner:
     def observe(self, observation: np.ndarray) -> torch.Tensor:
         """Normalise observations (n, obs_dim) and split them into even and odd part, as the networks take them."""
         return self.net.actor.parts(torch.from_numpy(self.normalizer(observation)))
-
-    def policy_arrays(self) -> dict[str, np.ndarray]:
-        """Return what acts, as :class:`~agility_ref.policy.Policy` reads it: dense layers and the normaliser."""
-        actor = {f"actor.{name}": array for name, array in self.net.actor.dense().items()}
-        return actor | {"normalizer.mean": self.normalizer.mean.copy(), "normalizer.var": self.normalizer.var.copy()}
-
-    def state(self) -> dict[str, np.ndarray]:
-        """Return what going on takes beyond :meth:`policy_arrays`: weights in blocks, Adam's moments, counters."""
-        state = {
-            "normalizer.count": np.array(self.normalizer.count),
-            "optimizer.learning_rate": np.array(self.learning_rate),
-            "optimizer.actor_start": np.array(self.actor_start),
-            "optimizer.generator": self.generator.get_state().numpy(),
-        }
-        for name, parameter in self.net.named_parameters():
-            state[f"net.{name}"] = parameter.detach().numpy().copy()
-            for key, value in self._optimizer(name).state.get(parameter, {}).items():
-                state[f"optimizer.{name}.{key}"] = value.numpy().copy()
-        return state
-
-    def _optimizer(self, parameter_name: str) -> torch.optim.Adam:
-        return self.critic_optimizer if parameter_name.startswith("critic.") else self.actor_optimizer
-
-    def load_state(self, arrays: dict[str, np.ndarray]) -> None:
-        """Copy :meth:`policy_arrays` and :meth:`state` into this learner.
-
-        Raises
-        ------
-        UserError : the arrays are those of another network
-        """
-        self._load_network(arrays)
-        self.learning_rate = float(arrays["optimizer.learning_rate"])
-        self.actor_start = int(arrays["optimizer.actor_start"])
-        self.generator.set_state(torch.from_numpy(arrays["optimizer.generator"].copy()))
-        for name, parameter in self.net.named_parameters():
-            if f"optimizer.{name}.step" in arrays:  # not that of a critic's or actor's that has rested so far
-                moments = {key: arrays[f"optimizer.{name}.{key}"].copy() for key in ("step", "exp_avg", "exp_avg_sq")}
-                self._optimizer(name).state[parameter] = {key: torch.from_numpy(a) for key, a in moments.items()}
-
-    @torch.no_grad()
-    def _load_network(self, arrays: dict[str, np.ndarray], but: str = "-") -> None:
-        """Copy weights and normaliser, all but the parameters whose names start with ``but``."""
-        for name, parameter in self.net.named_parameters():
-            if name.startswith(but):
-                continue
-            shape = arrays[f"net.{name}"].shape if f"net.{name}" in arrays else None
-            if shape != tuple(parameter.shape):
-                raise UserError(f"checkpoint has net.{name} of shape {shape}, this network {tuple(parameter.shape)}")
-            parameter.copy_(torch.from_numpy(arrays[f"net.{name}"]))
-        n = self.normalizer
-        n.mean[:], n.var[:], n.count = (arrays[f"normalizer.{x}"] for x in ("mean", "var", "count"))
-        n.count = float(n.count)
-
-    def warm_start(self, arrays: dict[str, np.ndarray], steps: int, std: float, critic_steps: int = 0) -> None:
-        """Go on from another policy's network after its ``steps``, with a fresh optimiser and exploration noise ``std``.
-
-        A policy that was not learned from rewards has no critic.  The values of a new one would
-        ruin its actor, which therefore rests for the first ``critic_steps`` environment steps, and
-        starts with small ones.
-        """
-        self.steps = self.start = self.actor_start = steps
-        imitated = not any(name.startswith("net.critic.") for name in arrays)
-        if imitated:
-            self.actor_start += critic_steps
-            self.learning_rate = self.config.learning_rate_min
-        self._load_network(arrays | {"net.log_std": self.net.log_std.detach().numpy()}, "critic." if imitated else "-")
-        self.net.log_std.data.fill_(float(np.log(std)))
 
 
 def gae(

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agility_ref.env import ACTION_DIM, Go1Env
+from agility_ref.env import Go1Env
 from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOT_STD, SCANDOTS
 from agility_ref.selector import Hierarchy, Single, visit
 

@@ -23,7 +23,7 @@ import numpy as np
 from agility_ref.curriculum import Curriculum, CurriculumConfig, find_preset, training_world
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.errors import UserError
-from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOTS, Mirror, sight
+from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOTS, Mirror
 from agility_ref.policy import Policy, read_npz, write_npz
 from agility_ref.ppo import Learner, PPOConfig, train
 from agility_ref.selector import (
@@ -49,6 +49,8 @@ from agility_ref.training.bank import (
 from agility_ref.training.distill import DistillConfig, FineTuneConfig, collect_actions, fit_student
 from agility_ref.training.policies import PolicySpec, find_policy, requirements
 from agility_ref.training.progress import ProgressLog, StopRequest, read_rows, versions, write_csv, write_text
+from agility_ref.training.sight import sight
+from agility_ref.training.state import learner_state, load_learner, policy_arrays, warm_start
 
 Draw = Callable[[Path, Path, str], object]
 """(progress.csv, the picture to write, title) -> whatever."""
@@ -176,7 +178,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
     start = last_drawn - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
 
     def save(compress: bool) -> None:
-        arrays = learner.policy_arrays() | learner.state() | seen
+        arrays = policy_arrays(learner) | learner_state(learner) | seen
         arrays |= {f"curriculum.{name}": value for name, value in curriculum.state().items()}
         meta = {
             "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": learner.steps,
@@ -225,7 +227,7 @@ def _resume_or_warm_start(
             raise UserError(f"{folder} was started over another {other}; give its folder, or another --out")
         if not {"curriculum.frontier", "net.log_std"} <= arrays.keys():
             raise UserError(f"{saved} can act but not be trained further: it lacks the state of a training run")
-        learner.load_state(arrays)
+        load_learner(learner, arrays)
         learner.steps, learner.start = meta["steps"], meta.get("start", 0)
         curriculum.load_state({name: arrays[f"curriculum.{name}"] for name in curriculum.state()})
         log = folder / "progress.csv"  # none where it was stopped before the first iteration
@@ -244,7 +246,7 @@ def _resume_or_warm_start(
             )
         # A distilled policy knows its way: noise as after a walk would only throw it off.
         std = config.fine_tune.std if _goes_on_from_distilled(spec) else config.warm_std
-        learner.warm_start(arrays, meta["steps"], std, config.fine_tune.critic_steps)
+        warm_start(learner, arrays, meta["steps"], std, config.fine_tune.critic_steps)
     return []
 
 
