@@ -10,6 +10,7 @@ from agility_ref.env import ACTION_DIM
 from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOT_MIRROR, SCANDOTS, Mirror
 from agility_ref.policy import Policy, write_npz
 from agility_ref.ppo import Learner, PPOConfig
+from agility_ref.training.state import learner_state, policy_arrays
 
 SKILLS = ("walk", "climb-up", "climb-down", "leap", "beam")
 
@@ -22,7 +23,7 @@ def random_arrays(seed=0, obs_dim=OBS_DIM, act_dim=ACTION_DIM, gain=1.0):
     learner = Learner.create(obs_mirror, act_mirror, PPOConfig(hidden=(16,)), seed, fixed=fixed)
     for half in (learner.net.actor.even, learner.net.actor.odd):
         half[-1].weight.data *= gain
-    return learner.policy_arrays() | learner.state()
+    return policy_arrays(learner) | learner_state(learner)
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from line import ACTIONS, CHOICES, LINE, TINY, FakeEnv, make, trained
 
 from agility_ref.errors import UserError
 from agility_ref.observation import Mirror
@@ -22,65 +23,10 @@ from agility_ref.ppo import (
     update,
     update_actor,
 )
+from agility_ref.training.state import learner_state, policy_arrays
 
 torch.set_num_threads(1)
-TINY = PPOConfig(num_envs=8, num_steps=16, hidden=(16,), update_epochs=2, num_minibatches=2)
 YES, NO = True, False
-
-# The line's mirror image: x changes its sign, age does not; two actions swap and change theirs, two choices swap.
-LINE = Mirror(np.array([0, 1]), np.array([-1, 1], np.float32))
-ACTIONS = Mirror(np.array([1, 0]), np.array([-1, -1], np.float32))
-CHOICES = Mirror(np.array([1, 0]), np.array([1, 1], np.float32))
-
-
-class FakeEnv:
-    """Points on a line that earn -(a - x)^2, the mean of two actions; the best action is what is observed.
-
-    ``limit`` steps truncate an episode; a point that starts at abs(x) > 0.95 ends terminated
-    after one step.  The API is that of Go1Env, SAME_STEP autoreset included.
-    """
-
-    def __init__(self, num_envs=8, limit=5):
-        self.num_envs, self.limit = num_envs, limit
-
-    def _start(self, ids):
-        self.x[ids] = self.rng.uniform(-1, 1, len(ids))
-        self.age[ids] = 0
-        self.total[ids] = 0.0
-
-    def _observe(self):
-        return np.stack([self.x, self.age / self.limit], axis=1, dtype=np.float32)
-
-    def reset(self, seed=None):
-        self.rng = np.random.default_rng(seed)
-        self.x, self.total = np.zeros(self.num_envs), np.zeros(self.num_envs)
-        self.age = np.zeros(self.num_envs, int)
-        self._start(np.arange(self.num_envs))
-        return self._observe(), {}
-
-    def step(self, action):
-        reward = -((np.asarray(action, float) - self.x[:, None]) ** 2).mean(axis=1)
-        terminated = np.abs(self.x) > 0.95
-        self.age += 1
-        self.total += reward
-        truncated = ~terminated & (self.age >= self.limit)
-        info = {
-            "final_obs": self._observe(),
-            "totals": {"reward": self.total.copy(), "length": self.age.copy()},
-            "kind": np.arange(self.num_envs) % 3,
-        }
-        self._start(np.flatnonzero(terminated | truncated))
-        return self._observe(), reward, terminated, truncated, info
-
-
-def make(seed=0, config=TINY):
-    return Learner.create(LINE, ACTIONS, config, seed)
-
-
-def trained(iterations, seed=0, config=TINY):
-    learner = make(seed, config)
-    records = list(train(FakeEnv(config.num_envs), learner, iterations * config.batch_size))
-    return learner, records
 
 
 def column(*values):
@@ -242,7 +188,7 @@ def test_collect_draws_from_the_policy():
     learner, env = make(config=config), FakeEnv(500)
     learner.normalizer.update(np.random.default_rng(0).normal(0.3, 2.0, (100, 2)))
     rollout, _ = collect(env, learner, env.reset(0)[0])
-    policy = Policy.from_arrays(learner.policy_arrays(), {})
+    policy = Policy.from_arrays(policy_arrays(learner), {})
     means = policy(rollout.observations.reshape(-1, 2)).reshape(2, 500, 2)
     np.testing.assert_allclose(rollout.outputs, means, atol=1e-5)
     noise = rollout.actions.numpy() - means
@@ -390,178 +336,28 @@ def test_schedule_counts_the_runs_own_steps():
     assert stds[0] > 0.75 and stds[1] <= 0.5 + 1e-6
 
 
-# --- determinism, saving, resuming -----------------------------------------------------
+# --- determinism -----------------------------------------------------------------------
 
 
-def all_arrays(learner):
-    return learner.policy_arrays() | learner.state()
-
-
-def assert_same(a, b):
+def test_same_seed_same_weights():
+    a, b = (learner_state(trained(3)[0]) for _ in range(2))
     assert a.keys() == b.keys()
     for name in a:
         np.testing.assert_array_equal(a[name], b[name], err_msg=name)
 
 
-def test_same_seed_same_weights():
-    assert_same(*(all_arrays(trained(3)[0]) for _ in range(2)))
-
-
 def test_other_seed_other_weights():
-    a, b = (trained(3, seed)[0].state() for seed in (0, 1))
+    a, b = (learner_state(trained(3, seed)[0]) for seed in (0, 1))
     for name in ("net.actor.even.0.weight", "net.actor.odd.0.weight", "net.critic.even.0.weight"):
         assert not np.array_equal(a[name], b[name])
 
 
 def test_training_changes_every_parameter():
-    before, after = make().state(), trained(3)[0].state()
+    before, after = learner_state(make()), learner_state(trained(3)[0])
     weights = [name for name in before if name.startswith("net.")]
     assert len(weights) == 12  # log_std; W_e, b and W_o for two layers of two networks, but a value has no odd part
     assert all((before[name] != after[name]).any() for name in weights)
-    assert (make().policy_arrays()["actor.0.weight"] != trained(3)[0].policy_arrays()["actor.0.weight"]).all()
-
-
-def resumed(learner, config=TINY):
-    other = make(seed=99, config=config)
-    other.load_state(all_arrays(learner))
-    return other
-
-
-def test_state_round_trip():
-    original, _ = trained(3)
-    assert_same(all_arrays(resumed(original)), all_arrays(original))
-
-
-def test_resumed_learner_goes_on_identically():
-    original, _ = trained(3)
-    copy = resumed(original)
-    assert copy.learning_rate == original.learning_rate
-    for learner in (original, copy):
-        env = FakeEnv()
-        update(learner, collect(env, learner, env.reset(5)[0])[0])
-    assert_same(all_arrays(copy), all_arrays(original))
-
-
-def test_resuming_needs_adams_moments():
-    # Without them the next step differs: the round trip above is not vacuous.
-    original, _ = trained(3)
-    copy = make(seed=99)
-    copy.load_state({name: a for name, a in all_arrays(original).items() if not name.endswith((".step", "exp_avg"))})
-    for learner in (original, copy):
-        env = FakeEnv()
-        update(learner, collect(env, learner, env.reset(5)[0])[0])
-    assert not np.array_equal(original.policy_arrays()["actor.0.weight"], copy.policy_arrays()["actor.0.weight"])
-
-
-def test_arrays_are_copies():
-    learner = trained(1)[0]
-    kept = all_arrays(learner)
-    values = deepcopy(kept)
-    list(train(FakeEnv(), learner, 2 * TINY.batch_size))
-    assert_same(kept, values)
-    assert not np.array_equal(kept["actor.0.weight"], all_arrays(learner)["actor.0.weight"])
-
-
-def test_loading_copies_too():
-    arrays = all_arrays(trained(1)[0])
-    values, other = deepcopy(arrays), make(1)
-    other.load_state(arrays)
-    list(train(FakeEnv(), other, TINY.batch_size))
-    assert_same(arrays, values)
-
-
-def test_a_policy_file_is_what_the_network_does():
-    learner = trained(3)[0]
-    x = np.random.default_rng(0).standard_normal((40, 2)).astype(np.float32)
-    with torch.no_grad():
-        expected = learner.net.actor(learner.observe(x)).numpy()
-    assert np.abs(expected).max() > 0.01
-    np.testing.assert_allclose(Policy.from_arrays(learner.policy_arrays(), {})(x), expected, atol=1e-5)
-
-
-@pytest.mark.parametrize("spoil, message", [
-    (lambda arrays: all_arrays(make(config=replace(TINY, hidden=(8,)))),
-     "checkpoint has net.actor.even.0.weight of shape (4, 1), this network (8, 1)"),
-    (lambda arrays: {name: a for name, a in arrays.items() if not name.startswith("net.critic.")},
-     "checkpoint has net.critic.even.0.weight of shape None, this network (8, 1)"),
-])  # fmt: skip
-def test_another_network_is_refused(spoil, message):
-    with pytest.raises(UserError) as refusal:
-        make().load_state(spoil(all_arrays(make())))
-    assert str(refusal.value) == message
-
-
-# --- warm starts -----------------------------------------------------------------------
-
-
-def without_critic(learner):
-    """Return the arrays of a distilled policy: what acts, the actor's blocks, and how many states were seen."""
-    arrays = all_arrays(learner)
-    return {
-        name: a for name, a in arrays.items()
-        if name.startswith(("actor.", "net.actor.", "normalizer."))
-    }  # fmt: skip
-
-
-def test_a_start_takes_over_everything_but_noise_and_moments():
-    source, learner = trained(3, seed=1)[0], make(seed=2)
-    learner.warm_start(all_arrays(source), steps=100, std=0.25, critic_steps=1000)
-    assert_same(learner.policy_arrays(), source.policy_arrays())
-    found, expected = learner.state(), source.state()
-    for name in expected:
-        if name.startswith("net.") and name != "net.log_std":
-            np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
-    assert found["normalizer.count"] == expected["normalizer.count"] == 3 * TINY.batch_size
-    np.testing.assert_allclose(learner.net.std().detach(), 0.25, rtol=1e-6)
-    assert not any(name.endswith("exp_avg") for name in found)
-    assert learner.steps == learner.start == 100
-
-
-def test_a_start_without_a_critic_rests_the_actor():
-    source, learner = trained(3, seed=1)[0], make(seed=2)
-    new = learner.state()
-    learner.warm_start(without_critic(source), steps=100, std=0.25, critic_steps=3 * TINY.batch_size)
-    started = learner.state()
-    assert_same(learner.policy_arrays(), source.policy_arrays())
-    for name in new:
-        if name.startswith("net.critic."):
-            np.testing.assert_array_equal(started[name], new[name])
-    np.testing.assert_allclose(started["net.log_std"], np.log(0.25), rtol=1e-6)
-    moved = []
-    for _ in train(FakeEnv(), learner, 100 + 5 * TINY.batch_size):
-        now = learner.state()
-        moved.append(
-            [
-                not np.array_equal(now[f"net.{net}.even.0.weight"], started[f"net.{net}.even.0.weight"])
-                for net in ("actor", "critic")
-            ]
-        )
-    assert moved == [[False, True]] * 3 + [[True, True]] * 2
-
-
-def test_a_start_with_a_critic_rests_nobody():
-    learner = make(seed=2)
-    learner.warm_start(all_arrays(make(seed=1)), steps=100, std=0.25, critic_steps=1000)
-    assert not learner.actor_rests and learner.learning_rate == TINY.learning_rate
-
-
-def test_a_resumed_learner_rests_as_long():
-    learner = make()
-    learner.warm_start(without_critic(make(seed=1)), steps=100, std=0.25, critic_steps=1000)
-    copy = resumed(learner)
-    assert copy.actor_start == 1100
-
-
-def test_a_start_without_a_critic_begins_with_small_steps():
-    learner = make()
-    learner.warm_start(without_critic(make(seed=1)), steps=100, std=0.25, critic_steps=1000)
-    assert learner.learning_rate == TINY.learning_rate_min
-
-
-def test_a_start_from_another_network_is_refused():
-    source = make(config=replace(TINY, hidden=(8,)))
-    with pytest.raises(UserError, match=r"net\.actor\.even\.0\.weight of shape \(4, 1\), this network \(8, 1\)"):
-        make().warm_start(all_arrays(source), steps=100, std=0.25)
+    assert (policy_arrays(make())["actor.0.weight"] != policy_arrays(trained(3)[0])["actor.0.weight"]).all()
 
 
 # --- training --------------------------------------------------------------------------
@@ -613,7 +409,7 @@ def test_ppo_learns_to_choose():
     list(train(Choice(64), learner, 40 * config.batch_size))
     x = np.linspace(-1, 1, 41, dtype=np.float32)
     obs = np.column_stack([x, np.full(41, 0.4, np.float32)])
-    chosen = Policy.from_arrays(learner.policy_arrays(), {})(obs).argmax(-1)
+    chosen = Policy.from_arrays(policy_arrays(learner), {})(obs).argmax(-1)
     assert (chosen == (x > 0))[np.abs(x) > 0.1].all()
 
 
@@ -627,10 +423,10 @@ def test_training_keeps_a_policy_exactly_equivariant(mirror, discrete):
             return super().step(np.tile(action.reshape(self.num_envs, -1)[:, :1], (1, 2)))
 
     learner = Learner.create(LINE, mirror, replace(TINY, hidden=(16, 8)), 0, discrete)
-    start = learner.policy_arrays()
+    start = policy_arrays(learner)
     list(train(Both(), learner, 20 * TINY.batch_size))
     x = np.random.default_rng(0).standard_normal((100, 2)).astype(np.float32)
-    policy, before = Policy.from_arrays(learner.policy_arrays(), {}), Policy.from_arrays(start, {})
+    policy, before = Policy.from_arrays(policy_arrays(learner), {}), Policy.from_arrays(start, {})
     assert np.abs(policy(x) - before(x)).max() > 0.1
     np.testing.assert_allclose(policy(LINE(x)), mirror(policy(x)), atol=1e-5)
     with torch.no_grad():
@@ -645,9 +441,6 @@ def test_a_task_without_handedness_can_be_learned():
     learner = Learner.create(Mirror.identity(2), Mirror.identity(2), config, 0)
     records = list(train(FakeEnv(64), learner, 60 * config.batch_size))
     assert mean_return(records[-5:]) > -0.2
-    copy = Learner.create(Mirror.identity(2), Mirror.identity(2), config, 1)
-    copy.load_state(all_arrays(learner))
-    assert_same(all_arrays(copy), all_arrays(learner))
 
 
 # --- the whole update ---------------------------------------------------------------------
@@ -763,5 +556,5 @@ def test_a_resumed_run_meets_other_starts():
 
 def test_the_seed_decides_network_and_exploration():
     a, b = make(0), make(1)
-    assert not np.array_equal(a.policy_arrays()["actor.0.weight"], b.policy_arrays()["actor.0.weight"])
+    assert not np.array_equal(policy_arrays(a)["actor.0.weight"], policy_arrays(b)["actor.0.weight"])
     assert a.generator.initial_seed() != b.generator.initial_seed()
