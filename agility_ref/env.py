@@ -150,10 +150,10 @@ class Go1Env:
 
     **Truncated**: 20 s, or the last waypoint reached.
 
-    **Autoreset**: Gymnasium's SAME_STEP.  ``info["final_observation"]`` (N, 184) holds the
+    **Autoreset**: Gymnasium's SAME_STEP.  ``info["final_obs"]`` (N, 184) holds the
     true last observation, its scandots as last taken; rows of unfinished robots equal the
     returned observation.
-    ``info["episode"]`` holds, for every robot, the running ``reward``, ``length``,
+    ``info["totals"]`` holds, for every robot, the running ``reward``, ``length``,
     ``waypoints`` and ``edge`` sums *before* the reset; read the rows that are done.
     ``info["feet_on_edge"]`` (N,) counts the feet that violate an edge in this step.
 
@@ -278,7 +278,7 @@ class Go1Env:
         self._episode_reward += reward
         feet_on_edge = state.foot_on_edge.sum(axis=1)
         self._episode_edge += feet_on_edge
-        episode = {
+        totals = {
             "reward": self._episode_reward.copy(),
             "length": self._step_count.copy(),
             "waypoints": self.waypoint_index.copy(),
@@ -294,12 +294,12 @@ class Go1Env:
         due[done] = True
         self._look(np.flatnonzero(due))
         observation = self._observe(slice(None), noise)
-        final_observation = observation.copy()
+        final_obs = observation.copy()
         if len(done):
-            final_observation[done] = last_observation
+            final_obs[done] = last_observation
         info = {
-            "final_observation": final_observation,
-            "episode": episode,
+            "final_obs": final_obs,
+            "totals": totals,
             "reward_terms": terms,
             "feet_on_edge": feet_on_edge,
         }

@@ -305,7 +305,7 @@ def rollout(
         for name, values in (seen | after(info)).items():
             r[name].append(values)
         r["reward"].append(reward)
-        r["waypoints"].append(info["episode"]["waypoints"])
+        r["waypoints"].append(info["totals"]["waypoints"])
         r["edge"].append(info["feet_on_edge"])
         r["terminated"].append(terminated)
         r["done"].append(terminated | truncated)

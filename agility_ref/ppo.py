@@ -303,9 +303,9 @@ def collect(env, learner: Learner, obs: np.ndarray) -> tuple[Rollout, np.ndarray
         actions.append(action)
         obs, rewards[t], terminated[t], truncated[t], info = env.step(action.numpy())
         done = np.flatnonzero(terminated[t] | truncated[t])
-        episodes += [{key: value[i] for key, value in info["episode"].items()} for i in done]
+        episodes += [{key: value[i] for key, value in info["totals"].items()} for i in done]
         for i in np.flatnonzero(truncated[t]):
-            cut_short.append((t, i, info["final_observation"][i]))
+            cut_short.append((t, i, info["final_obs"][i]))
     values = net.value(normalized.flatten(0, 1)).view(T, N).numpy()
     next_values = np.concatenate([values[1:], net.value(torch.from_numpy(norm(obs))).numpy()[None]])
     if cut_short:

@@ -137,7 +137,7 @@ class SelectorEnv:
     ends there is done in this decision, with the reward up to the end and the true final
     observation.  Its next episode starts at once: until the next decision, less than k control
     steps later, it walks (every course begins on a level platform), and the reward of these
-    steps is not counted.  ``info["episode"]`` counts control steps.
+    steps is not counted.  ``info["totals"]`` counts control steps.
     """
 
     def __init__(

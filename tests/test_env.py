@@ -67,8 +67,8 @@ def test_shapes_and_types(played):
     assert first.dtype == obs.dtype == np.float32
     assert reward.shape == terminated.shape == truncated.shape == (40, 4)
     assert terminated.dtype == truncated.dtype == bool
-    assert infos[0]["final_observation"].shape == (4, OBS_DIM)
-    assert all(value.shape == (4,) for value in infos[0]["episode"].values())
+    assert infos[0]["final_obs"].shape == (4, OBS_DIM)
+    assert all(value.shape == (4,) for value in infos[0]["totals"].values())
     assert infos[0]["feet_on_edge"].shape == (4,)
 
 
@@ -110,11 +110,11 @@ def test_observations_do_not_share_memory():
 def test_infos_do_not_change_later():
     env = make_env(n=2)
     _, reward, _, _, info = env.step(still(env))
-    kept = {name: value.copy() for name, value in info["episode"].items()}, reward.copy()
+    kept = {name: value.copy() for name, value in info["totals"].items()}, reward.copy()
     for action in random_actions(5, 2):
         env.step(action)
     for name, value in kept[0].items():
-        np.testing.assert_array_equal(info["episode"][name], value)
+        np.testing.assert_array_equal(info["totals"][name], value)
     np.testing.assert_array_equal(reward, kept[1])
 
 
@@ -292,7 +292,7 @@ def test_scandots_against_a_loop_over_boxes(kind):
 
     env.simulation.step = note_pose
     *_, info = env.step(still(env))
-    observed = info["final_observation"][:, SCANDOTS].reshape(6, len(SCANDOT_X), len(SCANDOT_Y))
+    observed = info["final_obs"][:, SCANDOTS].reshape(6, len(SCANDOT_X), len(SCANDOT_Y))
     checked = 0
     for robot in range(6):
         x, y, z = poses[-1][robot, :3]
@@ -330,7 +330,7 @@ def test_noise_does_not_depend_on_the_actions():
             for env in envs:
                 stand(env, 0, 1.0, 5.0)  # one robot falls and starts again
         a, b = (rollout(env, actions)[4] for env in envs)
-        difference.append([x["final_observation"] - y["final_observation"] for x, y in zip(a, b, strict=True)])
+        difference.append([x["final_obs"] - y["final_obs"] for x, y in zip(a, b, strict=True)])
     np.testing.assert_allclose(difference[0], difference[1], atol=1e-4)
     assert np.abs(difference[0]).max() > 0.1
 
@@ -392,8 +392,8 @@ def test_time_limit_truncates_and_resets_in_the_same_step():
     for k, action in enumerate(actions):
         obs, _, terminated, truncated, info = env.step(action)
         assert truncated.all() == (k == 4) and not terminated.any()
-    assert (info["episode"]["length"] == 5).all()
-    final = info["final_observation"]
+    assert (info["totals"]["length"] == 5).all()
+    final = info["final_obs"]
     np.testing.assert_array_equal(final[:, SLICES["last_action"]], actions[-1].astype(np.float32))
     np.testing.assert_array_equal(obs[:, SLICES["last_action"]], 0.0)
     assert np.abs(final[:, SLICES["dof_vel"]]).max() > 0.1
@@ -405,7 +405,7 @@ def test_final_observation_equals_the_observation_elsewhere():
     stand(env, 2, 1.0, 5.0)  # one robot beside the lane
     obs, _, terminated, _, info = env.step(still(env))
     np.testing.assert_array_equal(terminated, np.arange(6) == 2)
-    same = (obs == info["final_observation"]).all(axis=1)
+    same = (obs == info["final_obs"]).all(axis=1)
     np.testing.assert_array_equal(same, ~terminated)
 
 
@@ -423,10 +423,10 @@ def test_episode_sums_are_those_of_the_steps():
     for action in random_actions(5, 4):
         _, reward, _, _, info = env.step(action)
         total += reward
-        np.testing.assert_allclose(info["episode"]["reward"], total, rtol=1e-12)
+        np.testing.assert_allclose(info["totals"]["reward"], total, rtol=1e-12)
     _, reward, _, _, info = env.step(still(env))  # a new episode
-    np.testing.assert_array_equal(info["episode"]["reward"], reward)
-    assert (info["episode"]["length"] == 1).all()
+    np.testing.assert_array_equal(info["totals"]["reward"], reward)
+    assert (info["totals"]["length"] == 1).all()
 
 
 def test_stalling_terminates_in_training_only():
@@ -506,7 +506,7 @@ def test_waypoint_is_reached_after_a_tenth_of_a_second():
     env = make_env("gap")
     for expected in (0, 0, 0, 0, 1):  # 5 steps of 0.02 s
         *_, info = near_waypoint(env)
-        assert (info["episode"]["waypoints"] == expected).all()
+        assert (info["totals"]["waypoints"] == expected).all()
 
 
 @pytest.mark.parametrize("offset, reached", [(0.18, 1), (0.22, 0)])
@@ -514,14 +514,14 @@ def test_waypoint_radius(offset, reached):
     env = make_env("gap")
     for _ in range(6):
         *_, info = near_waypoint(env, offset)
-    assert (info["episode"]["waypoints"] == reached).all()
+    assert (info["totals"]["waypoints"] == reached).all()
 
 
 def test_leaving_restarts_the_clock():
     env = make_env("gap")
     for offset in (0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0):
         *_, info = near_waypoint(env, offset)
-    assert (info["episode"]["waypoints"] == 0).all()
+    assert (info["totals"]["waypoints"] == 0).all()
 
 
 def test_last_waypoint_truncates():
@@ -530,7 +530,7 @@ def test_last_waypoint_truncates():
     for k in range(5):
         _, _, terminated, truncated, info = near_waypoint(env)
         assert truncated.all() == (k == 4) and not terminated.any()
-    assert (info["episode"]["waypoints"] == NUM_WAYPOINTS).all()
+    assert (info["totals"]["waypoints"] == NUM_WAYPOINTS).all()
     assert (env.waypoint_index == 0).all()  # reset in the same step
 
 
@@ -683,7 +683,7 @@ def test_feet_in_the_air_violate_no_edge():
     edge = env.world.courses[0].obstacles[0].x0
     stand(env, 0, edge - 0.03 - 0.1881, 0.0, z=0.03)  # 3 cm above it
     *_, info = env.step(still(env))
-    assert not info["final_observation"][0, SLICES["foot_contact"]].any()
+    assert not info["final_obs"][0, SLICES["foot_contact"]].any()
     assert info["feet_on_edge"][0] == 0
 
 
@@ -833,7 +833,7 @@ def test_the_last_waypoint_and_a_fall_at_once_is_a_finish():
     stand(env, [0], x, y, z=env.world.ground(0, np.array([x, y])))
     env._qpos[0, 3:7] = np.cos(0.8), np.sin(0.8), 0.0, 0.0  # rolled by 1.6 rad: fallen
     _, _, terminated, truncated, info = env.step(still(env))
-    assert info["episode"]["waypoints"][0] == NUM_WAYPOINTS and truncated[0] and not terminated[0]
+    assert info["totals"]["waypoints"][0] == NUM_WAYPOINTS and truncated[0] and not terminated[0]
 
 
 def test_edges_add_up_over_the_episode(monkeypatch):
@@ -841,7 +841,7 @@ def test_edges_add_up_over_the_episode(monkeypatch):
     monkeypatch.setattr(env, "_near_edge", lambda: np.tile([True, False, True, True], (2, 1)))
     for k in range(1, 4):
         *_, info = env.step(still(env))
-        assert info["episode"]["edge"].tolist() == [3 * k, 3 * k]
+        assert info["totals"]["edge"].tolist() == [3 * k, 3 * k]
 
 
 def test_a_new_episode_begins_with_a_look():
@@ -851,7 +851,7 @@ def test_a_new_episode_begins_with_a_look():
     stand(env, 0, (pit.x0 + pit.x1) / 2, 0.0, z=-0.5)
     env._look(np.arange(1))
     observation, _, terminated, _, info = env.step(still(env))
-    assert terminated.all() and np.ptp(info["final_observation"][0, SCANDOTS]) > 0.5
+    assert terminated.all() and np.ptp(info["final_obs"][0, SCANDOTS]) > 0.5
     np.testing.assert_allclose(observation[:, SCANDOTS], first, atol=1e-6)
 
 

@@ -63,9 +63,9 @@ class FakeEnv:
         self.total += reward
         truncated = ~terminated & (self.age >= self.limit)
         final = self._observe()
-        episode = {"reward": self.total.copy(), "length": self.age.copy()}
+        totals = {"reward": self.total.copy(), "length": self.age.copy()}
         self._start(np.flatnonzero(terminated | truncated))
-        return self._observe(), reward, terminated, truncated, {"final_observation": final, "episode": episode}
+        return self._observe(), reward, terminated, truncated, {"final_obs": final, "totals": totals}
 
 
 def make(seed=0, config=TINY, act_dim=1, distribution=Gaussian):
@@ -195,7 +195,7 @@ def test_collect_bootstraps_with_the_true_final_observation():
 
     def noting(action):
         out = step(action)
-        finals.append(out[4]["final_observation"])
+        finals.append(out[4]["final_obs"])
         return out
 
     env.step = noting

@@ -91,9 +91,9 @@ class Session:
             self.skill = None if skill is None else int(skill[0])
         self.observation, _, terminated, truncated, info = self.env.step(action)
         if terminated[0] or truncated[0]:
-            waypoints = info["episode"]["waypoints"][0]
+            waypoints = info["totals"]["waypoints"][0]
             ending = "fell" if terminated[0] else "finished" if waypoints == NUM_WAYPOINTS else "ran out of time"
-            self.last_ending = f"{ending} after {info['episode']['length'][0] * self.env.config.dt:.1f} s"
+            self.last_ending = f"{ending} after {info['totals']['length'][0] * self.env.config.dt:.1f} s"
             self.policy.reset()
 
     def push(self, direction: str) -> None:
