@@ -122,9 +122,9 @@ class Go1Env:
 
     **Truncated**: 20 s, or the last waypoint reached.
 
-    **Autoreset**: Gymnasium's SAME_STEP.  ``info["final_obs"]`` (N, 184) holds the
-    true last observation, its scandots as last taken; rows of unfinished robots equal the
-    returned observation.
+    **Autoreset**: Gymnasium's SAME_STEP, or DISABLED with ``autoreset=False``.
+    ``info["final_obs"]`` (N, 184) holds the true last observation, its scandots as last taken;
+    rows of unfinished robots equal the returned observation.
     ``info["totals"]`` holds, for every robot, the running ``reward``, ``length``,
     ``waypoints`` and ``edge`` sums *before* the reset; read the rows that are done.
     ``info["feet_on_edge"]`` (N,) counts the feet that violate an edge in this step, ``info["kind"]``
@@ -142,6 +142,7 @@ class Go1Env:
         next_course: NextCourse | None = None,
         seed: int = 0,
         num_threads: int = 0,
+        autoreset: bool = True,
     ):
         """Compile one model per course and start N = ``num_envs`` simulations.
 
@@ -152,9 +153,10 @@ class Go1Env:
             courses; by default courses are drawn uniformly
         seed : of friction and payload per course, and of everything drawn later
         num_threads : simulation threads, 0 for all cores; results do not depend on it
+        autoreset : False leaves robots that are done as they are until :meth:`reset`
         """
         self.world, self.num_envs, self.config = world, num_envs, config
-        self.next_course = next_course or self._draw_course
+        self.next_course, self.autoreset = next_course or self._draw_course, autoreset
         self.max_steps = round(config.episode_seconds / config.dt)
         self._reach_steps = max(1, round(config.waypoint_seconds / config.dt))
         self._stall_steps = round(config.stall_seconds / config.dt)
@@ -192,15 +194,22 @@ class Go1Env:
         self._episode_reward, self._episode_edge = np.zeros(n), np.zeros(n)
         self.reset(seed)
 
-    def reset(self, seed: int | None = None) -> tuple[np.ndarray, dict]:
-        """Start new episodes of all robots; return the observation and an empty info."""
+    def reset(self, seed: int | None = None, mask: np.ndarray | None = None) -> tuple[np.ndarray, dict]:
+        """Start new episodes; return the observation and an empty info.
+
+        Parameters
+        ----------
+        seed : of everything drawn from here on, in the order of the steps
+        mask : (N,) bool, the robots that start anew, all by default; the others stay where they are
+        """
         if seed is not None:
             # Noise and pushes have a stream of their own, drawn for all robots at once: two
             # policies that are evaluated with one seed meet the same starts, noise and pushes.
             self.rng, self._disturbance_rng = (np.random.default_rng([seed, k]) for k in (2, 3))
             self._clock = 0
-        self._reset(self._everyone, None)
-        self._look(self._everyone)
+        ids = self._everyone if mask is None else np.flatnonzero(mask)
+        self._reset(ids, None)
+        self._look(ids)
         return self._observe(slice(None), self._draw_disturbance()[:, 2:]), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
@@ -250,7 +259,7 @@ class Go1Env:
             "edge": self._episode_edge.copy(),
         }
         noise, kind = disturbance[:, 2:], self._kind[self.course]
-        done = np.flatnonzero(terminated | truncated)
+        done = np.flatnonzero(terminated | truncated) if self.autoreset else self._everyone[:0]
         if len(done):
             last_observation = self._observe(done, noise)
             self._reset(done, self.waypoint_index[done] / NUM_WAYPOINTS)

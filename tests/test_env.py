@@ -393,6 +393,34 @@ def test_final_observation_equals_the_observation_elsewhere():
     np.testing.assert_array_equal(same, ~terminated)
 
 
+def test_a_masked_reset_leaves_the_other_robots_alone():
+    env, twin = (make_env("walk", seed=5) for _ in range(2))
+    for action in random_actions(20, 4):
+        env.step(action)
+        twin.step(action)
+    mask = np.array([False, True, False, True])
+    before = env._qpos.copy(), env._step_count.copy()
+    obs, info = env.reset(mask=mask)
+    np.testing.assert_array_equal(env._qpos[~mask], before[0][~mask])
+    np.testing.assert_array_equal(env._step_count, np.where(mask, 0, before[1]))
+    assert (np.abs(env._qpos[mask, 0] - 1.0) <= CLEAN.start_noise).all() and info == {}
+    np.testing.assert_array_equal(obs[mask, SLICES["last_action"]], 0.0)
+    after, expected = env.step(still(env))[0], twin.step(still(env))[0]
+    np.testing.assert_array_equal(after[~mask], expected[~mask])
+    assert (after[mask] != expected[mask]).any(axis=1).all()
+
+
+def test_without_autoreset_a_finished_robot_waits_for_its_reset():
+    env = make_env("walk", config=replace(CLEAN, episode_seconds=0.1), autoreset=False)
+    for action in random_actions(5, 4):
+        obs, _, _, truncated, info = env.step(action)
+    assert truncated.all()
+    np.testing.assert_array_equal(obs, info["final_obs"])
+    np.testing.assert_array_equal(obs[:, SLICES["last_action"]], action.astype(np.float32))
+    env.reset(mask=truncated)
+    assert not env.step(still(env))[3].any()
+
+
 def test_action_repeat_keeps_the_time_limit():
     # 0.4 s are 20 control steps, or 10 decisions of two steps each
     env = make_env("walk", config=replace(CLEAN, episode_seconds=0.4, action_repeat=2))

@@ -287,7 +287,7 @@ class Scripted:
         ]
         reward = np.array(self.rewards[self.t], float)
         self.t += 1
-        info = {"final_observation": self.observe(self.t), "episode": {"length": np.full(2, self.t)}}
+        info = {"final_obs": self.observe(self.t), "totals": {"length": np.full(2, self.t)}}
         return self.observe(self.t), reward, *ends, info
 
 
@@ -306,7 +306,7 @@ def test_reward_of_a_hold():
     np.testing.assert_allclose(reward, [3.0, 10.5])
     np.testing.assert_array_equal(env.actions, [[3, 1]] * 3)
     assert not terminated.any() and not truncated.any()
-    assert (observation == 3).all() and (info["final_observation"] == observation).all()
+    assert (observation == 3).all() and (info["final_obs"] == observation).all()
 
 
 def test_an_episode_that_ends_within_a_hold():
@@ -318,8 +318,8 @@ def test_an_episode_that_ends_within_a_hold():
     np.testing.assert_allclose(reward, [1.875, 2.0])
     np.testing.assert_array_equal(terminated, [False, True])
     np.testing.assert_array_equal(truncated, [False, False])
-    np.testing.assert_array_equal(info["episode"]["length"], [4, 2])
-    np.testing.assert_array_equal(info["final_observation"][:, 0], [4, 2])
+    np.testing.assert_array_equal(info["totals"]["length"], [4, 2])
+    np.testing.assert_array_equal(info["final_obs"][:, 0], [4, 2])
     assert (observation == 4).all()
     # it leaps, leaps, and then walks to the end of the hold
     np.testing.assert_array_equal(env.actions, [[3, 2], [3, 2], [3, 0], [3, 0]])
@@ -331,7 +331,7 @@ def test_an_end_in_the_last_step_of_a_hold():
     np.testing.assert_allclose(reward, [1.5, 2.0])
     np.testing.assert_array_equal(truncated, [True, False])
     assert not terminated.any()
-    np.testing.assert_array_equal(info["final_observation"][:, 0], [2, 2])
+    np.testing.assert_array_equal(info["final_obs"][:, 0], [2, 2])
 
 
 def test_switching_costs_within_an_episode_only():
@@ -394,10 +394,10 @@ def test_a_fall_within_a_hold_is_reported_with_its_own_end(env, five_skills):
     env._qpos[2, 1] = 5.0  # outside the lane: it falls in the first of the five steps
     observation, _, terminated, _, info = selector_env.step(np.zeros(4, int))
     np.testing.assert_array_equal(terminated, [False, False, True, False])
-    np.testing.assert_array_equal(info["episode"]["length"], [5, 5, 1, 5])
+    np.testing.assert_array_equal(info["totals"]["length"], [5, 5, 1, 5])
     others = [0, 1, 3]
-    np.testing.assert_array_equal(info["final_observation"][others], observation[others])
-    assert (info["final_observation"][2] != observation[2]).any()
+    np.testing.assert_array_equal(info["final_obs"][others], observation[others])
+    assert (info["final_obs"][2] != observation[2]).any()
     assert env._step_count[2] == 4  # of the next episode
 
 

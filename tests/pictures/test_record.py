@@ -57,7 +57,7 @@ def test_recording_is_what_the_environment_did(random_policy):
         assert reward[0] == pytest.approx(episode.reward[t], abs=1e-12)
     assert (terminated | truncated)[0]
     assert bool(terminated[0]) == episode.fell
-    assert info["episode"]["waypoints"][0] == episode.reached
+    assert info["totals"]["waypoints"][0] == episode.reached
 
 
 def test_no_row_of_the_next_episode_slips_in(episodes):
