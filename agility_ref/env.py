@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agility_ref.errors import require_at_least
+from agility_ref.errors import UserError, require_at_least
 from agility_ref.go1 import (
     BODY_TOUCH,
     DEFAULT_DOF_POS,
@@ -217,13 +217,14 @@ class Go1Env:
 
         Raises
         ------
-        ValueError : action of the wrong shape, or not finite
+        ValueError : action of the wrong shape
+        UserError : action that is not finite
         """
         action = np.asarray(action, np.float64)
         if action.shape != (self.num_envs, ACTION_DIM):
             raise ValueError(f"action has shape {action.shape}, not {(self.num_envs, ACTION_DIM)}")
         if not np.isfinite(action).all():
-            raise ValueError(f"action has {np.count_nonzero(~np.isfinite(action))} entries that are not finite")
+            raise UserError(f"action has {np.count_nonzero(~np.isfinite(action))} entries that are not finite")
         c = self.config
         action = np.clip(action, -c.action_limit, c.action_limit)
         disturbance = self._draw_disturbance()

@@ -46,15 +46,20 @@ def choose_gl() -> str:
 
     Raises
     ------
-    UserError : neither library is there
+    UserError : neither library is there, or not the one that MUJOCO_GL asks for
     """
-    if "MUJOCO_GL" in os.environ or not sys.platform.startswith("linux"):
-        return os.environ.get("MUJOCO_GL", "")
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if not sys.platform.startswith("linux"):
+        return wanted
+    if wanted and wanted not in (*LIBRARIES, "glfw", "glx"):
+        raise UserError(f"MUJOCO_GL is {wanted!r}, for a film it can be {' or '.join(LIBRARIES)}")
     for backend, libraries in LIBRARIES.items():
-        if all(map(_loads, libraries)):
+        if wanted in ("", backend) and all(map(_loads, libraries)):
             os.environ["MUJOCO_GL"] = backend
             os.environ.setdefault("PYOPENGL_PLATFORM", backend)
             return backend
+    if wanted in ("glfw", "glx"):  # a window's, where there is a display
+        return wanted
     raise UserError(ADVICE)
 
 

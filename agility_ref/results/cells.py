@@ -32,7 +32,7 @@ from agility_ref.training.weights import sha256
 
 # Files whose text decides what happens in an episode and how it is counted.
 SOURCES = (
-    "terrain", "world", "go1", "simulation", "rewards", "observation", "env", "curriculum", "policy", "selector",
+    "files", "terrain", "world", "go1", "simulation", "rewards", "observation", "env", "curriculum", "policy", "selector",
     "evaluate", "results/published", "training/policies", "training/bank",
 )  # fmt: skip
 
