@@ -10,9 +10,6 @@
 # %%
 from pathlib import Path
 
-import mujoco
-import numpy as np
-
 from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
 from agility_ref.go1 import (
     DEFAULT_DOF_POS,
@@ -28,6 +25,9 @@ from agility_ref.observation import OBS_DIM, OBSERVATION, observation_slices
 from agility_ref.pictures.plots import BLUE, GREEN, ORANGE, PURPLE, RED, new_figure
 from agility_ref.terrain import make_course
 from agility_ref.world import World
+
+import mujoco
+import numpy as np
 
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
