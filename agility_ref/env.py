@@ -11,8 +11,6 @@ Out: observation, reward, terminated, truncated, info.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from agility_ref.errors import UserError, require_at_least
 from agility_ref.go1 import (
     BODY_TOUCH,
@@ -28,6 +26,8 @@ from agility_ref.rewards import RewardConfig, StepState, compute_reward
 from agility_ref.simulation import Simulation
 from agility_ref.terrain import BEAM_DROP, LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X
 from agility_ref.world import EDGE_DISTANCE, World
+
+import numpy as np
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,10 @@ import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.errors import UserError
 from agility_ref.files import parse_json, replacing
+
+import numpy as np
 
 SCHEMA = "agility_ref/1"
 DTYPES = [np.dtype(name) for name in ("float32", "float64", "int64", "int32", "uint64", "uint8", "bool")]

@@ -1,7 +1,5 @@
 import os
 
-import pytest
-
 from agility_ref.errors import UserError
 from agility_ref.files import (
     MAX_TEXT,
@@ -14,6 +12,8 @@ from agility_ref.files import (
     write_csv,
     write_text,
 )
+
+import pytest
 
 
 def test_a_file_is_replaced_as_a_whole(tmp_path):

@@ -16,11 +16,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from agility_ref.cli.diagnose import diagnose
 from agility_ref.cli.pictures import plot, video, watch
 from agility_ref.errors import UserError, unknown_name
+
+import tyro
 
 USAGE = """usage: agility-ref COMMAND [--help]
 

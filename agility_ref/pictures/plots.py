@@ -12,11 +12,11 @@ from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.files import replacing
 from agility_ref.stats import bootstrap_interval, iqm
 from agility_ref.training.progress import read_progress
+
+import numpy as np
 
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"  # Okabe and Ito
 SKY, GREY = "#56B4E9", "#8A8A8A"
@@ -324,3 +324,20 @@ def table_figure(rows: list, out: Path, title: str) -> None:
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
         figure.suptitle(title, x=0.01, ha="left")
     save_figure(figure, out, f"agility-ref table1 ({title})")
+
+
+def show(figure, name: str) -> None:
+    """Show a figure of a tutorial: below the cell in a notebook, else as the file ``figures/<name>.png``."""
+    if "ipykernel" in sys.modules:
+        from io import BytesIO
+
+        from IPython.display import Image, display
+
+        png = BytesIO()
+        figure.savefig(png, format="png", dpi=110)
+        display(Image(data=png.getvalue()))
+        return
+    path = Path("figures", f"{name}.png").resolve()
+    path.parent.mkdir(exist_ok=True)
+    figure.savefig(path, dpi=110)
+    print("figure:", path)

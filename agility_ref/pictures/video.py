@@ -15,16 +15,16 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from agility_ref.errors import UserError
 from agility_ref.pictures.plots import made_with, skill_colour
 from agility_ref.terrain import NUM_WAYPOINTS
 
-if TYPE_CHECKING:
-    import mujoco
+import numpy as np
 
+if TYPE_CHECKING:
     from agility_ref.pictures.record import Episode
+
+    import mujoco
 
 LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}  # Debian's names, in order
 ADVICE = (
@@ -130,9 +130,9 @@ def frames(episode: "Episode", config: VideoConfig = VideoConfig()) -> Iterator[
     ------
     UserError : as check_video
     """
-    import mujoco
-
     from agility_ref.pictures.scene import make_scene, mark_waypoints
+
+    import mujoco
 
     check_video(config)
     model = make_scene(episode.course)

@@ -25,8 +25,6 @@ from math import isfinite, isnan, nan
 from pathlib import Path
 from statistics import mode
 
-import numpy as np
-
 from agility_ref.errors import UserError
 from agility_ref.files import read_csv, write_text
 from agility_ref.results.cells import Cells, seeds_of, stack
@@ -36,6 +34,8 @@ from agility_ref.training import weights
 from agility_ref.training.bank import WeightsConfig, run_folder
 from agility_ref.training.policies import ALIASES, ENVIRONMENTS, find_policy
 from agility_ref.training.progress import read_progress
+
+import numpy as np
 
 REPRODUCED, NOT_REPRODUCED = "reproduced", "not reproduced"
 UNDECIDED, NOT_MEASURED = "undecided", "not measured"

@@ -9,8 +9,6 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.curriculum import find_preset
 from agility_ref.env import ACTION_DIM, TRAINING, EnvConfig
 from agility_ref.errors import UserError
@@ -25,6 +23,8 @@ from agility_ref.selector import (
 )
 from agility_ref.training import weights
 from agility_ref.training.policies import find_policy
+
+import numpy as np
 
 
 @dataclass(frozen=True)

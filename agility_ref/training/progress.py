@@ -14,12 +14,12 @@ from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.errors import UserError
 from agility_ref.files import read_csv, write_csv
 from agility_ref.policy import not_finite
 from agility_ref.terrain import NUM_WAYPOINTS
+
+import numpy as np
 
 PROGRESS = (
     "steps", "wall_seconds", "steps_per_second", "reward", "episode_length", "waypoint_fraction",

@@ -19,8 +19,6 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.curriculum import Curriculum, CurriculumConfig, find_preset, training_world
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.errors import UserError
@@ -56,6 +54,8 @@ from agility_ref.training.policies import PolicySpec, find_policy, requirements
 from agility_ref.training.progress import EPISODE, ProgressLog, StopRequest, attempt, rows_until, versions
 from agility_ref.training.sight import sight
 from agility_ref.training.state import learner_state, load_learner, policy_arrays, warm_start
+
+import numpy as np
 
 Draw = Callable[[Path, Path, str], object]
 """(progress.csv, the picture to write, title) -> whatever."""

@@ -12,13 +12,13 @@ import sys
 from importlib import resources
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.errors import UserError
 from agility_ref.files import read_json, write_text
 from agility_ref.policy import read_npz, write_npz
 from agility_ref.training.policies import POLICIES, find_policy
 from agility_ref.training.progress import read_progress
+
+import numpy as np
 
 WARM_STARTS = {spec.warm_start for spec in POLICIES.values()}
 FOLDER = Path(str(resources.files("agility_ref") / "weights"))

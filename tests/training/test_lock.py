@@ -5,11 +5,11 @@ import sys
 import threading
 import time
 
-import pytest
-
 from agility_ref.errors import UserError
 from agility_ref.training import lock
 from agility_ref.training.lock import lock_path, locked
+
+import pytest
 
 HOLD = """
 import sys, time

@@ -1,8 +1,8 @@
-import numpy as np
-import pytest
-
 from agility_ref.errors import UserError
 from agility_ref.training.progress import EPISODE, PROGRESS, ProgressLog, attempt, read_progress
+
+import numpy as np
+import pytest
 
 
 def a_log(folder, episodes=(), done=0):
