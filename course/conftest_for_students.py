@@ -21,6 +21,11 @@ SEEDS = [int(seed) for seed in os.environ.get("COURSE_SEEDS", "1 2 3").split()]
 SECONDS = 20  # for one test, unless it says otherwise
 
 
+HINT = (
+    "; are the arguments, the shapes and the order of the axes those of the docstring? (agility_ref's own are others)"
+)
+
+
 class TooSlow(BaseException):
     """A test took longer than it may; no ``except Exception`` catches this."""
 
@@ -43,15 +48,20 @@ def pytest_runtest_call(item):
     def stop(*_):
         raise TooSlow(f"stopped after {seconds} s: is there a loop that never ends?")
 
-    if not hasattr(signal, "SIGALRM"):  # Windows
-        return (yield)
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.alarm(seconds)
+    timed = hasattr(signal, "SIGALRM")  # not on Windows
+    if timed:
+        before = signal.signal(signal.SIGALRM, stop)
+        signal.alarm(seconds)
     try:
         return (yield)
+    except Exception as error:
+        if type(error) in (TypeError, AttributeError, IndexError, KeyError, ValueError):
+            raise type(error)(f"{error}{HINT}") from error
+        raise
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        if timed:
+            signal.alarm(0)
+            signal.signal(signal.SIGALRM, before)
 
 
 def _record(**fields):

@@ -23,7 +23,7 @@ MUTANTS = (
         FILE,
         (("np.sort(np.ravel(scores))", "np.ravel(scores)"),),
         "test_iqm_weighs_half",
-        "sorted",
+        "sort the scores",
     ),
     Mutant(
         "all scores drawn independently",
