@@ -1,8 +1,15 @@
 """Small fixtures shared by the suite: random policies, and a folder of finished runs."""
 
 import os
+from contextlib import suppress
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+from agility_ref.errors import UserError
+from agility_ref.pictures.video import choose_gl
+
+with suppress(UserError):  # tests that need OpenGL are skipped without
+    choose_gl()  # before MuJoCo is imported
 
 from agility_ref.env import ACTION_DIM
 from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOT_MIRROR, SCANDOTS, Mirror
@@ -10,6 +17,7 @@ from agility_ref.policy import Policy, write_npz
 from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.training.state import learner_state, policy_arrays
 
+import numpy as np
 import pytest
 
 SKILLS = ("walk", "climb-up", "climb-down", "leap", "beam")
