@@ -10,10 +10,10 @@ action of 1 is its ``action_limit``, 1.2 rad, and observations are clipped to fi
 
 from contextlib import suppress
 
-import numpy as np
-
 from agility_ref.errors import UserError
 from agility_ref.pictures.video import choose_gl
+
+import numpy as np
 
 try:
     import gymnasium

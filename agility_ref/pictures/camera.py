@@ -7,13 +7,13 @@ import os
 import sys
 import time
 
-import mujoco
-import numpy as np
-
 from agility_ref.env import Go1Env
 from agility_ref.errors import UserError, unknown_name
 from agility_ref.pictures.scene import make_scene, mark_waypoints
 from agility_ref.pictures.video import VideoConfig, open_renderer
+
+import mujoco
+import numpy as np
 
 MODES = ("human", "rgb_array")
 
