@@ -13,11 +13,11 @@ Out: the index of each robot's next course in the :class:`~agility_ref.world.Wor
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from agility_ref.errors import require_at_least, unknown_name
 from agility_ref.terrain import EASIEST, make_course
 from agility_ref.world import World
+
+import numpy as np
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,7 @@ Out: observation, reward, terminated, truncated, info.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from agility_ref.errors import require_at_least
+from agility_ref.errors import UserError, require_at_least
 from agility_ref.go1 import (
     BODY_TOUCH,
     DEFAULT_DOF_POS,
@@ -28,6 +26,8 @@ from agility_ref.rewards import RewardConfig, StepState, compute_reward
 from agility_ref.simulation import Simulation
 from agility_ref.terrain import BEAM_DROP, LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X
 from agility_ref.world import EDGE_DISTANCE, World
+
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -217,13 +217,14 @@ class Go1Env:
 
         Raises
         ------
-        ValueError : action of the wrong shape, or not finite
+        ValueError : action of the wrong shape
+        UserError : action that is not finite
         """
         action = np.asarray(action, np.float64)
         if action.shape != (self.num_envs, ACTION_DIM):
             raise ValueError(f"action has shape {action.shape}, not {(self.num_envs, ACTION_DIM)}")
         if not np.isfinite(action).all():
-            raise ValueError(f"action has {np.count_nonzero(~np.isfinite(action))} entries that are not finite")
+            raise UserError(f"action has {np.count_nonzero(~np.isfinite(action))} entries that are not finite")
         c = self.config
         action = np.clip(action, -c.action_limit, c.action_limit)
         disturbance = self._draw_disturbance()

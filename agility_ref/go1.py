@@ -17,11 +17,11 @@ Axes: x forward, y left, z up.
 
 from dataclasses import dataclass
 
-import mujoco
-import numpy as np
-
 from agility_ref.errors import require_at_least
 from agility_ref.terrain import Course
+
+import mujoco
+import numpy as np
 
 LEGS = ("FR", "FL", "RR", "RL")
 JOINTS = tuple(f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf"))

@@ -10,13 +10,13 @@ In:  normalised observations (n, obs_dim).  Out: distributions over actions, and
 import itertools
 from collections.abc import Callable, Iterable
 
+from agility_ref.observation import Mirror
+from agility_ref.policy import CLIP, VAR_FLOOR
+
 import numpy as np
 import torch
 from torch import nn
 from torch.distributions import Categorical, Distribution, Independent, Normal
-
-from agility_ref.observation import Mirror
-from agility_ref.policy import CLIP, VAR_FLOOR
 
 SQRT_HALF = 0.5**0.5
 

@@ -9,10 +9,10 @@ Out: the table OBSERVATION, and the 132 scandots.
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH
 from agility_ref.world import World
+
+import numpy as np
 
 SCANDOT_X = np.arange(-0.45, 1.21, 0.15, dtype=np.float32)  # (12,) [m] ahead of the trunk
 SCANDOT_Y = np.arange(-0.75, 0.76, 0.15, dtype=np.float32)  # (11,) [m] to its left

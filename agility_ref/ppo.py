@@ -15,13 +15,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
-import numpy as np
-import torch
-from torch.distributions import kl_divergence
-
 from agility_ref.errors import UserError, require_at_least
 from agility_ref.networks import ActorCritic, Normalizer, sample
 from agility_ref.observation import SCANDOT_STD, Mirror
+
+import numpy as np
+import torch
+from torch.distributions import kl_divergence
 
 
 @dataclass(frozen=True)

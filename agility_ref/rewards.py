@@ -13,9 +13,9 @@ the squared torque *changes* (weight -1e-7 there) are left out.
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from agility_ref.go1 import DEFAULT_DOF_POS
+
+import numpy as np
 
 STUMBLE_RATIO = 4.0  # a foot stumbles when it is pushed sideways this many times as hard as upwards
 DRAG_CLEARANCE = 0.05  # [m] a foot that moves is to keep this far off the ground

@@ -11,12 +11,12 @@ Out: a Hierarchy; for PPO, an environment whose action is a skill index.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.observation import OBS_DIM, SCANDOT_MIRROR, SCANDOT_STD, SCANDOTS, Mirror
 from agility_ref.policy import Policy
 from agility_ref.terrain import SKILLS
+
+import numpy as np
 
 Chooser = Callable[[np.ndarray, Go1Env], np.ndarray]
 """(observation (N, 184), env) -> skill index (N,)."""
@@ -148,10 +148,10 @@ def fit_selector(
 
     What is seen mirrored asks for the same skill, so the network is invariant.
     """
+    from agility_ref.networks import EquivariantMLP, Normalizer, fit
+
     import torch
     from torch import nn
-
-    from agility_ref.networks import EquivariantMLP, Normalizer, fit
 
     torch.set_num_threads(1)
     torch.manual_seed(seed)

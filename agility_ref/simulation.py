@@ -10,12 +10,12 @@ In:  courses, friction and payload of each, joint targets.
 Out: poses, velocities, contacts and torques, as views of the simulator's memory.
 """
 
+from agility_ref.go1 import PhysicsConfig, make_model
+from agility_ref.terrain import Course
+
 import mujoco
 import numpy as np
 from mujoco import batch
-
-from agility_ref.go1 import PhysicsConfig, make_model
-from agility_ref.terrain import Course
 
 
 def bounding_volumes(tree: mujoco.MjModel, model: mujoco.MjModel) -> np.ndarray:

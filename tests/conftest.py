@@ -4,14 +4,13 @@ import os
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-import numpy as np
-import pytest
-
 from agility_ref.env import ACTION_DIM
 from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOT_MIRROR, SCANDOTS, Mirror
 from agility_ref.policy import Policy, write_npz
 from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.training.state import learner_state, policy_arrays
+
+import pytest
 
 SKILLS = ("walk", "climb-up", "climb-down", "leap", "beam")
 

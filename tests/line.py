@@ -1,9 +1,9 @@
 """A task that is learned in a second, for the tests of PPO: points on a line that want to be followed."""
 
-import numpy as np
-
 from agility_ref.observation import Mirror
 from agility_ref.ppo import Learner, PPOConfig, train
+
+import numpy as np
 
 TINY = PPOConfig(num_envs=8, num_steps=16, hidden=(16,), update_epochs=2, num_minibatches=2)
 

@@ -1,11 +1,11 @@
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from agility_ref.curriculum import Curriculum, CurriculumConfig, level_difficulties, training_world
 from agility_ref.errors import UserError
 from agility_ref.terrain import beam_width
+
+import numpy as np
+import pytest
 
 # One variant, so that a course's number is its level; scores move by half of the way.
 PLAIN = CurriculumConfig(num_levels=4, variants=1, score_step=0.5, easy_share=0.0, top_easy_share=0.0)

@@ -1,11 +1,11 @@
+from agility_ref.networks import ActorCritic, EquivariantMLP, Normalizer, PairedElu, fit, sample
+from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOT_MIRROR, Mirror
+from agility_ref.policy import Policy
+
 import numpy as np
 import pytest
 import torch
 from torch.distributions import Categorical
-
-from agility_ref.networks import ActorCritic, EquivariantMLP, Normalizer, PairedElu, fit, sample
-from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOT_MIRROR, Mirror
-from agility_ref.policy import Policy
 
 torch.set_num_threads(1)
 

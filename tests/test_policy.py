@@ -1,9 +1,5 @@
 import json
 
-import numpy as np
-import pytest
-import torch
-
 from agility_ref.errors import UserError
 from agility_ref.networks import EquivariantMLP
 from agility_ref.observation import Mirror
@@ -12,6 +8,10 @@ from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.training.progress import processor, versions
 from agility_ref.training.state import learner_state, load_learner, policy_arrays
 from agility_ref.training.weights import sha256
+
+import numpy as np
+import pytest
+import torch
 
 META = {"policy": "walk", "act_dim": 3, "steps": 7}
 
@@ -64,7 +64,7 @@ def test_round_trip(path, learner):
     "array",
     [
         np.array(0.1, np.float32),
-        np.array([-0.0, np.inf, np.nan, 1e-45, 3.4e38], np.float32),
+        np.array([-0.0, 1e-45, -3.4e38, 3.4e38], np.float32),
         np.arange(24, dtype=np.float32).reshape(2, 3, 4).transpose(2, 0, 1),  # not contiguous
         np.zeros((0, 5), np.float32),
         np.array([0.1, 0.2]),
@@ -76,6 +76,23 @@ def test_every_kind_of_array_comes_back_bit_equal(tmp_path, array, compress):
     write_npz(tmp_path / "a.npz", {"a": array}, META, compress)
     again = read_npz(tmp_path / "a.npz")[0]["a"]
     assert (again.dtype, again.shape, again.tobytes()) == (array.dtype, array.shape, array.tobytes())
+
+
+@pytest.mark.parametrize("compress", [True, False])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_numbers_that_are_not_finite_are_refused(tmp_path, value, compress):
+    write_npz(tmp_path / "a.npz", {"b": np.zeros(2), "a": np.array([1.0, value], np.float32)}, META, compress)
+    with pytest.raises(UserError, match=r"a\.npz is damaged: a has numbers that are not finite"):
+        read_npz(tmp_path / "a.npz")
+
+
+def test_what_a_policy_has_seen_may_have_no_limit(tmp_path):
+    seen = {"seen.low": np.array([-np.inf, 0.0], np.float32)}
+    write_npz(tmp_path / "a.npz", seen, META)
+    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz")[0]["seen.low"], seen["seen.low"])
+    write_npz(tmp_path / "a.npz", {"seen.high": np.array([np.nan])}, META)
+    with pytest.raises(UserError, match=r"seen\.high has numbers"):
+        read_npz(tmp_path / "a.npz")
 
 
 def test_loaded_policy_acts_bit_equally(path, learner, observations):

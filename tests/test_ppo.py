@@ -1,11 +1,6 @@
 from copy import deepcopy
 from dataclasses import replace
 
-import numpy as np
-import pytest
-import torch
-from line import ACTIONS, CHOICES, LINE, TINY, FakeEnv, make, trained
-
 from agility_ref.errors import UserError
 from agility_ref.observation import Mirror
 from agility_ref.policy import Policy
@@ -24,6 +19,11 @@ from agility_ref.ppo import (
     update_actor,
 )
 from agility_ref.training.state import learner_state, policy_arrays
+
+import numpy as np
+import pytest
+import torch
+from line import ACTIONS, CHOICES, LINE, TINY, FakeEnv, make, trained
 
 torch.set_num_threads(1)
 YES, NO = True, False

@@ -1,6 +1,3 @@
-import numpy as np
-import pytest
-
 from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOT_MIRROR, SCANDOTS
 from agility_ref.policy import Policy
@@ -18,6 +15,9 @@ from agility_ref.selector import (
 )
 from agility_ref.terrain import SKILLS, make_course
 from agility_ref.world import World
+
+import numpy as np
+import pytest
 
 FIVE = ("walk", "climb-up", "climb-down", "leap", "beam")
 LABELS = np.arange(5)  # the skills of a bank are in the order of the oracle's labels

@@ -14,8 +14,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.evaluate import EvaluationConfig, evaluate, evaluation_env, oracle_accuracy
 from agility_ref.pictures.plots import BLUE, ORANGE, new_figure
 from agility_ref.policy import Policy
@@ -24,6 +22,8 @@ from agility_ref.stats import paired_difference
 from agility_ref.training.bank import load_bank, load_policy, weights_path
 from agility_ref.training.policies import find_policy
 from agility_ref.training.runs import TrainConfig, make_env
+
+import numpy as np
 
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)

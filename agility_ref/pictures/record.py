@@ -11,8 +11,6 @@ Out: one :class:`Episode` per robot, trimmed to its length; or for a selector a 
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluation_courses, in_first_episode, rollout, waypoint_fraction
@@ -21,6 +19,8 @@ from agility_ref.rewards import TERMS
 from agility_ref.selector import Hierarchy, Single
 from agility_ref.terrain import NUM_WAYPOINTS, Course
 from agility_ref.world import World
+
+import numpy as np
 
 # State arrays of the same name: the simulation's, and what the environment keeps track of.
 SIMULATED = ("qpos", "foot_pos", "torque")

@@ -16,12 +16,12 @@ Out: a compiled ``mujoco.MjModel`` to look at, never to train on; polygons in si
 
 from dataclasses import dataclass
 
-import mujoco
-import numpy as np
-
 from agility_ref.go1 import FOOT_RADIUS, LEFT, LEGS, LINK_LENGTH, make_xml
 from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH, NUM_WAYPOINTS, Course
 from agility_ref.world import EDGE_MIN_DROP, height_map
+
+import mujoco
+import numpy as np
 
 # Okabe and Ito.  Right legs are warm, left legs cool; the front pair is the darker one.
 LEG_COLOURS = {"FR": "#E69F00", "FL": "#0072B2", "RR": "#F0E442", "RL": "#56B4E9"}

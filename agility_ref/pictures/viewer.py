@@ -19,9 +19,6 @@ import sys
 import time
 from pathlib import Path
 
-import mujoco
-import numpy as np
-
 from agility_ref.curriculum import find_preset
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError, unknown_name
@@ -42,6 +39,9 @@ from agility_ref.pictures.scene import (
 from agility_ref.selector import Hierarchy, Single
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, make_course
 from agility_ref.world import World
+
+import mujoco
+import numpy as np
 
 LOOPBACK = "127.0.0.1"
 PUSH = 1.0  # [m/s] added to the trunk's velocity by a push

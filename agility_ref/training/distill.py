@@ -18,11 +18,11 @@ paper would give it a camera; teachers are the deterministic specialists.
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from agility_ref.env import Go1Env
 from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOT_STD, SCANDOTS
 from agility_ref.selector import Hierarchy, Single, visit
+
+import numpy as np
 
 if TYPE_CHECKING:
     from agility_ref.ppo import PPOConfig
@@ -96,9 +96,9 @@ def fit_student(
 
     The normaliser is that of the states seen; PPO takes it over and goes on counting.
     """
-    import torch
-
     from agility_ref.networks import EquivariantMLP, Normalizer, fit
+
+    import torch
 
     torch.set_num_threads(1)
     torch.manual_seed(seed)

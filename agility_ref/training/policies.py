@@ -47,7 +47,7 @@ SEVEN = ("climb-up", "climb-down", "climb", "gap", "beam", "walk", "climb-gap") 
 
 _SPECS = (
     PolicySpec("climb-up", "CU", "ppo", ("climb-up",), (3 * M, 8 * M), "walk"),
-    PolicySpec("climb-down", "CD", "ppo", ("climb-down",), (2 * M, 5 * M), "walk"),
+    PolicySpec("climb-down", "CD", "ppo", ("climb-down",), (3 * M, 5 * M), "walk"),
     PolicySpec("leap", "Leap", "ppo", ("gap",), (5 * M, 15 * M), "walk"),
     PolicySpec("beam", "Beam", "ppo", ("beam",), (3_500_000, 12 * M), "walk"),
     PolicySpec("walk", "Walk", "ppo", ("walk",), (1_200_000, 2 * M)),

@@ -3,11 +3,11 @@
 In:  the courses that a policy is trained on.  Out: bounds of its observation.
 """
 
-import numpy as np
-
 from agility_ref.observation import OBS_DIM, SCANDOT_ZERO, SCANDOTS, scandots
 from agility_ref.terrain import SPAWN_X
 from agility_ref.world import World
+
+import numpy as np
 
 SIGHT_MARGIN = 0.1  # [m] by which a walking trunk bobs, and what noise adds
 

@@ -3,11 +3,11 @@
 In:  a :class:`~agility_ref.ppo.Learner`.  Out: a dict of arrays; and back.
 """
 
-import numpy as np
-import torch
-
 from agility_ref.errors import UserError
 from agility_ref.ppo import Learner
+
+import numpy as np
+import torch
 
 MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # what Adam remembers of each parameter
 

@@ -4,12 +4,12 @@ import os
 import subprocess
 import sys
 
-import numpy as np
-import pytest
-
 from agility_ref.cli.main import COMMANDS, main
 from agility_ref.evaluate import METRICS
 from agility_ref.training.policies import POLICIES
+
+import numpy as np
+import pytest
 
 
 @pytest.fixture(autouse=True)
@@ -194,7 +194,11 @@ def test_table1_with_nothing_trained_leaves_the_table_that_is_there(capsys, tmp_
     results = tmp_path / "results"
     results.mkdir()
     (results / "table1.csv").write_text("a table")
-    assert main(f"table1 --runs {tmp_path} --results {results} --episodes 1".split()) == 2
+    (runs := tmp_path / "runs").mkdir()
+    assert main(f"table1 --runs {runs} --results {results} --episodes 1".split()) == 2
+    assert f"no runs in {runs}" in capsys.readouterr().err
+    (runs / "walk" / "seed5").mkdir(parents=True)
+    assert main(f"table1 --runs {runs} --results {results} --episodes 1".split()) == 2
     assert "not one cell to fill" in (err := capsys.readouterr().err) and "no weights for" in err
     assert (results / "table1.csv").read_text() == "a table" and len(list(results.iterdir())) == 1
 

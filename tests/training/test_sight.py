@@ -1,12 +1,12 @@
 """What a policy's own courses show it."""
 
-import numpy as np
-
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.observation import SCANDOT_X, SCANDOT_Y, SCANDOTS
 from agility_ref.terrain import make_course
 from agility_ref.training.sight import SIGHT_MARGIN, sight
 from agility_ref.world import World
+
+import numpy as np
 
 
 def straight_ahead(bound):

@@ -3,15 +3,15 @@
 from copy import deepcopy
 from dataclasses import replace
 
-import numpy as np
-import pytest
-import torch
-from line import TINY, FakeEnv, make, trained
-
 from agility_ref.errors import UserError
 from agility_ref.policy import Policy
 from agility_ref.ppo import collect, train, update
 from agility_ref.training.state import learner_state, load_learner, policy_arrays, warm_start
+
+import numpy as np
+import pytest
+import torch
+from line import TINY, FakeEnv, make, trained
 
 
 def all_arrays(learner):

@@ -1,8 +1,5 @@
 import json
 
-import numpy as np
-import pytest
-
 from agility_ref.curriculum import PRESETS
 from agility_ref.errors import UserError
 from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOTS
@@ -11,6 +8,9 @@ from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.training import weights
 from agility_ref.training.state import policy_arrays, warm_start
 from agility_ref.training.weights import sha256
+
+import numpy as np
+import pytest
 
 
 @pytest.fixture
