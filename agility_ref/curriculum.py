@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agility_ref.errors import unknown_name
+from agility_ref.files import pack_stream, unpack_stream
 from agility_ref.terrain import EASIEST, make_course
 from agility_ref.world import World
 
@@ -138,8 +139,9 @@ class Curriculum:
 
     def state(self) -> dict[str, np.ndarray]:
         """Return what a resumed run needs."""
-        return {"level": self.level.copy()}
+        return {"level": self.level.copy(), "played": self.played.copy(), "rng": pack_stream(self.rng)}
 
     def load_state(self, state: dict[str, np.ndarray]) -> None:
-        """Restore :meth:`state`; the robots start new episodes at their levels."""
-        self.level[:] = state["level"]
+        """Go on from :meth:`state`."""
+        self.level[:], self.played[:] = (np.clip(state[k], 0, self.config.num_levels - 1) for k in ("level", "played"))
+        unpack_stream(self.rng, state["rng"])

@@ -188,6 +188,20 @@ class SelectorEnv:
         self._previous = np.where(ended, -1, skill)
         return self._observation, total, terminated, truncated, info
 
+    @property
+    def observation(self) -> np.ndarray:
+        """What the robots saw last, (N, 184)."""
+        return self._observation
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return the robots' state and their skills."""
+        return self.env.state() | {"previous": self._previous.copy()}
+
+    def load_state(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from :meth:`state`."""
+        self.env.load_state(state)
+        self._observation, self._previous = self.env.observation, state["previous"].copy()
+
     def _control_step(self, skill: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict]:
         """Execute skills (N,) for one control step; return reward, terminated, truncated, info."""
         wanted = self.hierarchy.labels[self.env.oracle_skill()]

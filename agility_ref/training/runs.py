@@ -57,6 +57,7 @@ from agility_ref.training.limits import check_settings
 from agility_ref.training.lock import locked
 from agility_ref.training.policies import PolicySpec, find_policy, requirements
 from agility_ref.training.progress import EPISODE, ProgressLog, StopRequest, attempt, rows_until, versions
+from agility_ref.training.resume import check_arrays, go_on, going_on
 
 Draw = Callable[[Path, Path, str], object]
 """(progress.csv, the picture to write, title) -> whatever."""
@@ -215,7 +216,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
         env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward, config.selector, config.ppo.gamma)
     batch = hold * ppo.batch_size
     kinds = [f"level_{kind}" for kind in spec.courses] if len(spec.courses) > 1 and config.curriculum.enabled else []
-    rows, episodes = _resume_or_warm_start(spec, config, folder, learner, curriculum, bank, batch, kinds)
+    rows, episodes = _resume_or_warm_start(spec, config, folder, learner, env, curriculum, bank, batch, kinds)
     if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
     _write_config(spec, config, folder)
@@ -225,8 +226,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
     start = last_drawn - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
 
     def save(compress: bool) -> None:
-        arrays = learner.arrays() | learner.training_arrays() | seen
-        arrays |= {f"curriculum.{name}": value for name, value in curriculum.state().items()}
+        arrays = learner.arrays() | learner.training_arrays() | seen | going_on(learner, env, curriculum)
         arrays |= {"progress.episodes": log.last_episodes()}
         if bad := beyond_use(arrays):
             raise _diverged(folder, bad, learner, batch)
@@ -239,8 +239,8 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
         log.write()
         write_npz(folder / "policy.npz", arrays, meta, compress)
 
-    with stop, np.errstate(over="ignore", invalid="ignore"):  # what is no longer finite is found below
-        for record in train(env, learner, total, stop.requested):
+    with stop, log, np.errstate(over="ignore", invalid="ignore"):  # what is no longer finite is found below
+        for record in train(env, learner, total, stop.requested, env.observation if rows else None):
             # PPO has counted decisions; budgets are in control steps.
             learner.steps += (hold - 1) * ppo.batch_size
             record |= {"steps": learner.steps, "steps_per_second": hold * record["steps_per_second"]}
@@ -252,7 +252,6 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
             if draw and time.monotonic() - last_drawn > 60.0:
                 last_drawn = time.monotonic()
                 attempt(draw, folder / "progress.csv", folder / "learning_curve.png", spec.name)
-        log.close()
         save(compress=True)
     if learner.steps < total:
         raise KeyboardInterrupt(f"stopped at {learner.steps} of {total} steps; the same command goes on from {folder}")
@@ -277,6 +276,7 @@ def _resume_or_warm_start(
     config: TrainConfig,
     folder: Path,
     learner: Learner,
+    env: Go1Env | SelectorEnv,
     curriculum: Curriculum,
     bank: dict[str, str],
     batch: int,
@@ -292,13 +292,11 @@ def _resume_or_warm_start(
                 raise UserError(f"{folder} was started with {flag} {began}, not {ours}; give that, or another --out")
         for other in other_skills(meta, bank):
             raise UserError(f"{folder} was started over another {other}; give its folder, or another --out")
-        if not {"curriculum.level", "normalizer.count", "progress.episodes"} <= arrays.keys():
-            raise UserError(f"{saved} can act but not be trained further: it lacks the state of a training run")
+        check_arrays(saved, arrays, learner, going_on(learner, env, curriculum))
         learner.load_arrays(arrays)
         learner.steps, learner.start = meta["steps"], meta.get("start", 0)
-        learner.generator.manual_seed(config.seed + learner.steps)  # not the noise of the first part again
-        curriculum.load_state({"level": arrays["curriculum.level"]})
         rows = rows_until(folder / "progress.csv", learner.start, learner.steps, batch, tuple(levels))
+        go_on(arrays, learner, env, curriculum)
         return rows, arrays["progress.episodes"]
     if spec.warm_start and config.warm_start:
         source = weights_path(spec.warm_start, config)
