@@ -207,7 +207,8 @@ class Go1Env:
         Parameters
         ----------
         seed : of everything drawn from here on, in the order of the steps
-        mask : (N,) bool, the robots that start anew, all by default; the others stay where they are
+        mask : (N,) bool, the robots whose episodes have ended and that start anew, all by default;
+            the others stay where they are
         """
         if seed is not None:
             # Noise and pushes have a stream of their own, drawn for all robots at once: two
@@ -215,7 +216,7 @@ class Go1Env:
             self.rng, self._disturbance_rng = (np.random.default_rng([seed, k]) for k in (2, 3))
             self._clock[()] = 0
         ids = self._everyone if mask is None else np.flatnonzero(mask)
-        self._reset(ids, None)
+        self._reset(ids, None if mask is None else self.waypoint_index[ids] / NUM_WAYPOINTS)
         self._look(ids)
         self.observation = self._observe(slice(None), self._draw_disturbance()[:, 2:])
         return self.observation, {}

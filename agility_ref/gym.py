@@ -66,8 +66,8 @@ class Go1VectorEnv(VectorEnv):
         spread = np.linspace(*np.broadcast_to(difficulty, 2), courses)
         world = World([make_course(kind, d, [course_seed, k]) for k, d in enumerate(spread)])
         self.go1 = Go1Env(world, num_envs, config, seed=course_seed, num_threads=num_threads, autoreset=False)
-        self.num_envs, self.render_mode, self.mode = num_envs, render_mode, AutoresetMode(autoreset_mode)
-        self.metadata = self.metadata | {"render_fps": round(1 / config.dt), "autoreset_mode": self.mode}
+        self.num_envs, self.render_mode, self.autoreset_mode = num_envs, render_mode, AutoresetMode(autoreset_mode)
+        self.metadata = self.metadata | {"render_fps": round(1 / config.dt), "autoreset_mode": self.autoreset_mode}
         spaces = gymnasium.spaces.Box(-OBS_BOUND, OBS_BOUND), gymnasium.spaces.Box(-1.0, 1.0, (ACTION_DIM,))
         self.single_observation_space, self.single_action_space = spaces
         self.observation_space, self.action_space = (gymnasium.vector.utils.batch_space(s, num_envs) for s in spaces)
@@ -90,8 +90,8 @@ class Go1VectorEnv(VectorEnv):
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
         """Advance every robot; raises ValueError for actions of the wrong shape or not finite."""
-        waiting, same_step, info = self._done, self.mode is AutoresetMode.SAME_STEP, {}
-        if self.mode is AutoresetMode.DISABLED and waiting.any():
+        waiting, same_step, info = self._done, self.autoreset_mode is AutoresetMode.SAME_STEP, {}
+        if self.autoreset_mode is AutoresetMode.DISABLED and waiting.any():
             raise ValueError(f"robots {np.flatnonzero(waiting).tolist()} are done: reset them before the next step")
         obs, reward, terminated, truncated, own = self.go1.step(np.multiply(actions, self.go1.config.action_limit))
         reward[waiting], terminated[waiting], truncated[waiting] = 0.0, False, False  # NEXT_STEP: this is their reset

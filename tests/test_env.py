@@ -421,6 +421,15 @@ def test_without_autoreset_a_finished_robot_waits_for_its_reset():
     assert not env.step(still(env))[3].any()
 
 
+def test_a_masked_reset_tells_how_far_the_episodes_came():
+    env, told = make_env("walk"), []
+    env.next_course = lambda ids, fraction: told.append((ids.tolist(), fraction)) or np.zeros(len(ids), int)
+    env.waypoint_index[:] = [2, 4, 6, 8]
+    env.reset(mask=np.array([False, True, False, True]))
+    ((ids, fraction),) = told
+    assert ids == [1, 3] and fraction.tolist() == [0.5, 1.0]
+
+
 def test_action_repeat_keeps_the_time_limit():
     # 0.4 s are 20 control steps, or 10 decisions of two steps each
     env = make_env("walk", config=replace(CLEAN, episode_seconds=0.4, action_repeat=2))
