@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
 from agility_ref.errors import UserError
+
+import tyro
 
 
 @dataclass(frozen=True)

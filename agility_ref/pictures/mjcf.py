@@ -9,11 +9,11 @@ In:  a :class:`~agility_ref.terrain.Course`.  Out: a file that ``mujoco.MjModel.
 import os
 from pathlib import Path
 
-import mujoco
-
 from agility_ref.errors import UserError
 from agility_ref.pictures import scene
 from agility_ref.terrain import Course
+
+import mujoco
 
 NAMES = {
     scene.SIDE: "side", scene.METRE: "metre", scene.PIT: "pit", scene.EDGE_COLOUR: "edge", "#FFFFFF": "white",

@@ -12,8 +12,6 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref import __version__
 from agility_ref.env import EnvConfig
 from agility_ref.errors import UserError, unknown_name
@@ -21,6 +19,8 @@ from agility_ref.go1 import DEFAULT_DOF_POS, JOINTS
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, observation_slices
 from agility_ref.policy import Policy
 from agility_ref.training.policies import POLICIES
+
+import numpy as np
 
 TOLERANCE = 1e-5  # largest difference between what a file says and what the numpy policy says, see compare
 UNITS = {  # and frames of what a policy sees; see Go1Env

@@ -1,10 +1,10 @@
 import os
 
+from agility_ref.cli.main import main
+
 import mujoco
 import numpy as np
 import pytest
-
-from agility_ref.cli.main import main
 
 
 @pytest.fixture

@@ -1,11 +1,11 @@
-import mujoco
-import numpy as np
-import pytest
-
 from agility_ref.errors import UserError
 from agility_ref.go1 import make_model
 from agility_ref.pictures.mjcf import write_mjcf
 from agility_ref.terrain import COURSE_KINDS, make_course
+
+import mujoco
+import numpy as np
+import pytest
 
 
 @pytest.fixture

@@ -3,14 +3,14 @@ import json
 import sys
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from agility_ref.errors import UserError
 from agility_ref.go1 import JOINTS
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.training import export
 from agility_ref.training.export import SUFFIXES, TOLERANCE, compare, describe, export_policy
+
+import numpy as np
+import pytest
 
 HAS_ONNX = importlib.util.find_spec("onnx") and importlib.util.find_spec("onnxruntime")
 needs_onnx = pytest.mark.skipif(not HAS_ONNX, reason="needs onnx and onnxruntime")

@@ -1,10 +1,7 @@
 """Record a short piece of two episodes of Go1Env, with the reward terms that it gave."""
 
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
-
-import numpy as np
-from adapters import Log
 
 import agility_ref
 from agility_ref.env import EnvConfig, Go1Env
@@ -13,12 +10,15 @@ from agility_ref.policy import Policy
 from agility_ref.terrain import make_course
 from agility_ref.world import World
 
+import numpy as np
+from adapters import Log
+
 STEPS = 50  # of either episode: a log of 100 steps
 OTHER_FEET = [1, 0, 3, 2]  # agility_ref: FR FL RR RL
 WALK = sorted(Path(agility_ref.__file__).parent.glob("weights/walk-full-*.npz"))[0]
 
 
-@lru_cache(maxsize=None)
+@cache
 def record(seed: int) -> tuple[Log, dict[str, np.ndarray]]:
     """Let the shipped walk policy walk, noisily; return the log and every term (100, N), unweighted."""
     rng = np.random.default_rng(seed)

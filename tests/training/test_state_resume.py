@@ -1,8 +1,5 @@
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from agility_ref.curriculum import CurriculumConfig
 from agility_ref.env import TRAINING
 from agility_ref.errors import UserError
@@ -11,6 +8,9 @@ from agility_ref.ppo import PPOConfig
 from agility_ref.training import runs
 from agility_ref.training.bank import run_folder
 from agility_ref.training.runs import TrainConfig, train_policy
+
+import numpy as np
+import pytest
 
 PPO = PPOConfig(num_envs=6, num_steps=5, hidden=(8,), update_epochs=2, num_minibatches=2)
 BATCH = 30
