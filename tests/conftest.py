@@ -10,6 +10,7 @@ from agility_ref.policy import Policy, write_npz
 from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.training.state import learner_state, policy_arrays
 
+import numpy as np
 import pytest
 
 SKILLS = ("walk", "climb-up", "climb-down", "leap", "beam")
