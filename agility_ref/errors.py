@@ -8,7 +8,7 @@ import difflib
 from collections.abc import Iterable
 
 
-class UserError(ValueError):
+class UserError(Exception):  # not a ValueError, of which tyro would make a frame of several lines
     """What was given, and what is allowed, in one line."""
 
 

@@ -52,7 +52,7 @@ class PPOConfig:
             1, num_envs=self.num_envs, num_steps=self.num_steps, update_epochs=self.update_epochs,
             num_minibatches=self.num_minibatches,
         )  # fmt: skip
-        require_at_least(1e-9, init_std=self.init_std, final_std=self.final_std)
+        require_at_least(1e-9, init_std=self.init_std, final_std=self.final_std, learning_rate=self.learning_rate)
         if self.num_minibatches > self.batch_size:
             raise UserError(f"num-minibatches must be at most {self.batch_size} steps, not {self.num_minibatches}")
         if any(units < 2 or units % 2 for units in self.hidden):

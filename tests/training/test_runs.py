@@ -11,17 +11,18 @@ from agility_ref.files import read_csv
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.pictures.plots import learning_curve
 from agility_ref.policy import Policy, read_npz, write_npz
-from agility_ref.ppo import Learner, PPOConfig
+from agility_ref.ppo import PPOConfig
 from agility_ref.rewards import RewardConfig
-from agility_ref.selector import Hierarchy, SelectorConfig, Single, SupervisedConfig
+from agility_ref.selector import Hierarchy, Single, SupervisedConfig
 from agility_ref.terrain import COURSE_KINDS
-from agility_ref.training import policies, runs
+from agility_ref.training import policies, runs, weights
 from agility_ref.training.bank import find_weights, load_policy, run_folder
 from agility_ref.training.distill import DistillConfig, FineTuneConfig
 from agility_ref.training.lock import locked
 from agility_ref.training.policies import find_policy
 from agility_ref.training.progress import PROGRESS
 from agility_ref.training.runs import TrainConfig, train_policy
+from agility_ref.training.state import learner_state, policy_arrays
 
 import numpy as np
 import pytest
@@ -97,7 +98,8 @@ def test_checkpoint_holds_what_training_needs(config):
     assert meta["policy"] == "walk" and meta["steps"] == 3 * BATCH and meta["seed"] == 0
     assert {"python", "numpy", "mujoco"} <= set(meta["versions"])
     assert arrays["normalizer.count"] == 3 * BATCH
-    assert "optimizer.actor.0.weight.exp_avg" in arrays and "curriculum.level" in arrays
+    assert "optimizer.actor.even.0.weight.exp_avg" in arrays
+    assert "curriculum.frontier" in arrays and "curriculum.score" in arrays
 
 
 def test_same_seed_same_run(config, tmp_path):
@@ -196,18 +198,6 @@ def test_resuming_with_another_network_is_refused(config):
     (folder / "DONE").unlink()
     with pytest.raises(UserError, match=r"started with ppo\.hidden \[8\], not \[6\]"):
         train_policy("walk", replace(config, steps=5 * BATCH, ppo=replace(TINY, hidden=(6,))), quiet=True)
-
-
-def test_a_learner_refuses_the_arrays_of_another_network():
-    eight, six = (Learner.create(5, 2, replace(TINY, hidden=(units,)), seed=0) for units in (8, 6))
-    with pytest.raises(UserError, match=r"actor\.0\.weight of shape \(8, 5\), this network \(6, 5\)"):
-        six.load_arrays(eight.arrays())
-
-
-def test_settings_are_checked_before_anything_is_written(config):
-    with pytest.raises(UserError, match=r"env\.push-interval must be at least 0"):
-        train_policy("walk", replace(config, env=EnvConfig(push_interval=-1.0)), quiet=True)
-    assert not run_folder(config.root, "walk", 0).exists()
 
 
 def test_a_fault_before_the_first_iteration_leaves_the_finished_run(config, monkeypatch):
@@ -373,12 +363,14 @@ def test_a_run_that_diverges_keeps_its_last_good_policy(config, monkeypatch):
     good = train_policy("walk", replace(config, steps=2 * BATCH), quiet=True)
     (good / "DONE").unlink()
     arrays, _ = read_npz(good / "policy.npz")
-    load = runs.Learner.load_arrays
+    load = runs.load_learner
     # The same settings, as the folder asks for, but a network that has become infinite since.
     monkeypatch.setattr(
-        runs.Learner,
-        "load_arrays",
-        lambda self, given: load(self, given | {"critic.0.bias": given["critic.0.bias"] + 3e38}),
+        runs,
+        "load_learner",
+        lambda learner, given: load(
+            learner, given | {"net.critic.even.0.bias": given["net.critic.even.0.bias"] + np.float32(3e38)}
+        ),
     )
     for _ in range(2):  # the same command ends alike when it is given again
         with pytest.raises(
@@ -503,6 +495,42 @@ def test_warm_start_is_counted_and_copied(config, tmp_path):
     assert count == 5 * BATCH == read_npz(walk / "policy.npz")[0]["normalizer.count"] + 2 * BATCH
 
 
+def test_a_run_starts_with_the_network_it_starts_from(config, monkeypatch):
+    walk = read_npz(train_policy("walk", config, quiet=True) / "policy.npz")[0]
+    started = {}
+
+    def nothing(env, learner, *rest):
+        started.update(policy_arrays(learner) | learner_state(learner))
+        return iter(())
+
+    monkeypatch.setattr(runs, "train", nothing)
+    with pytest.raises(KeyboardInterrupt):
+        train_policy("climb", replace(config, steps=5 * BATCH, warm_std=0.4), quiet=True)
+    for name, array in started.items():
+        if name.startswith(("actor.", "net.actor.", "net.critic.", "normalizer.")):
+            np.testing.assert_array_equal(array, walk[name], err_msg=name)
+    np.testing.assert_allclose(np.exp(started["net.log_std"]), 0.4, rtol=1e-6)
+    assert not any(name.endswith("exp_avg") for name in started)
+
+
+def plain(tmp_path):
+    """Make a finished run of the walk that ships, as it was before networks knew left from right: dense layers alone."""
+    arrays, meta = read_npz(weights.FOLDER / "walk-full-seed0.npz")
+    dense = {name: array for name, array in arrays.items() if not name.startswith("net.")}
+    folder = run_folder(tmp_path, "walk", 0)
+    write_npz(folder / "policy.npz", dense, {key: meta[key] for key in meta if key != "schema"})
+    (folder / "DONE").touch()
+    return folder / "policy.npz"
+
+
+def test_nothing_starts_from_a_network_without_symmetry(config, tmp_path):
+    path = plain(tmp_path)
+    with pytest.raises(UserError) as refusal:
+        train_policy("climb", config, quiet=True)
+    assert str(refusal.value) == f"{path} holds a network without symmetry; train walk anew, with --out"
+    assert isinstance(load_policy("walk", config), Single)  # which acts as ever
+
+
 def test_what_is_needed_is_trained_first(config, tmp_path, monkeypatch):
     budgets = {name: replace(spec, budget=(4 * BATCH, 4 * BATCH)) for name, spec in policies.POLICIES.items()}
     budgets["walk"] = replace(budgets["walk"], budget=(2 * BATCH, 2 * BATCH))
@@ -548,18 +576,6 @@ def test_damaged_shipped_weights_are_not_trained_anew(config, monkeypatch):
         train_policy("climb", config, quiet=True)
 
 
-@pytest.mark.parametrize("name, mirror", [("ps-rl-3-env", False), ("ps-sl-5", False), ("walk", True)])
-def test_a_clock_is_refused_where_nothing_can_use_it(config, name, mirror):
-    env, ppo = replace(config.env, gait_clock=2.0), replace(TINY, mirror=mirror)
-    with pytest.raises(UserError, match=r"env\.gait-clock (and ppo\.mirror are for skills|does not go)"):
-        train_policy(name, replace(config, env=env, ppo=ppo), quiet=True)
-
-
-def test_a_policy_with_a_clock_trains(config):
-    folder = train_policy("walk", replace(config, env=replace(config.env, gait_clock=2.0)), quiet=True)
-    assert read_npz(folder / "policy.npz")[1]["obs_dim"] == OBS_DIM + 2
-
-
 def test_fewer_steps_than_the_warm_start_is_refused(config):
     train_policy("walk", config, quiet=True)
     with pytest.raises(UserError):
@@ -578,25 +594,7 @@ def test_ppo_selector_run(config, tmp_path, finished_run, name):
     folder = train_policy(name, config, quiet=True)
     policy = load_policy(name, config)
     assert (folder / "DONE").exists() and isinstance(policy, Hierarchy)
-    assert read_npz(folder / "policy.npz")[0]["actor.2.bias"].shape == (3,)
-
-
-def test_a_held_selector_run_counts_control_steps(config, tmp_path, finished_run):
-    for skill in ("walk", "climb", "leap"):
-        finished_run(tmp_path, skill)
-    config = replace(config, steps=300, selector=SelectorConfig(decision_steps=4, switch_cost=0.1))
-    folder = train_policy("ps-rl-3-env", config, quiet=True)
-    # an iteration is 4 robots x 8 decisions x 4 steps = 128; the third one passes 300
-    assert steps_of(folder) == [128, 256, 384]
-    meta = read_npz(folder / "policy.npz")[1]
-    assert meta["steps"] == 384 and meta["config"]["selector"]["switch_cost"] == 0.1
-    assert load_policy("ps-rl-3-env", config).decision_steps == 4
-    (folder / "DONE").unlink()
-    train_policy("ps-rl-3-env", replace(config, steps=400), quiet=True)
-    assert steps_of(folder) == [128, 256, 384, 512]
-    (folder / "DONE").unlink()
-    with pytest.raises(UserError, match=r"started with selector\.decision-steps 4, not 2"):
-        train_policy("ps-rl-3-env", replace(config, selector=SelectorConfig(decision_steps=2)), quiet=True)
+    assert read_npz(folder / "policy.npz")[0]["actor.1.bias"].shape == (3,)
 
 
 def test_a_selector_does_not_go_on_over_another_skill(config, tmp_path, finished_run):
@@ -609,19 +607,15 @@ def test_a_selector_does_not_go_on_over_another_skill(config, tmp_path, finished
         train_policy("ps-rl-3-env", replace(config, steps=1000), quiet=True)
 
 
-def test_the_discount_of_a_decision_is_that_of_its_steps(config, tmp_path, finished_run, monkeypatch):
+def test_selectors_have_an_entropy_bonus_of_their_own_and_no_curriculum(config, tmp_path, finished_run, monkeypatch):
     for skill in ("walk", "climb", "leap"):
         finished_run(tmp_path, skill)
-    made = []
-    create = runs.SelectorEnv
-    monkeypatch.setattr(runs, "SelectorEnv", lambda *args: made.append(create(*args)) or made[0])
-    config = replace(config, ppo=replace(TINY, gamma=0.5), selector=SelectorConfig(decision_steps=3, ent_coef=0.07))
-    seen = []
+    seen, make_env = [], runs.make_env
+    monkeypatch.setattr(runs, "make_env", lambda spec, config: seen.append(config.curriculum) or make_env(spec, config))
     monkeypatch.setattr(runs, "train", lambda env, learner, *rest: seen.append(learner.config) or iter(()))
     with pytest.raises(KeyboardInterrupt):
-        train_policy("ps-rl-3-oracle", config, quiet=True)
-    assert made[0].gamma == 0.5 and made[0].config.decision_steps == 3
-    assert seen[0].gamma == 0.125 and seen[0].ent_coef == 0.07  # 0.5^3
+        train_policy("ps-rl-3-oracle", replace(config, selector_ent_coef=0.07), quiet=True)
+    assert not seen[0].enabled and seen[1] == replace(TINY, ent_coef=0.07)
 
 
 @pytest.mark.parametrize("rounds", [0, 1, 4])
@@ -629,11 +623,10 @@ def test_the_budget_is_the_same_with_and_without_dagger(config, tmp_path, finish
     for skill in ("walk", "climb-up", "climb-down", "leap", "beam"):
         finished_run(tmp_path, skill)
     config = replace(config, steps=90, supervised=replace(config.supervised, dagger_rounds=rounds))
-    folder = train_policy("ps-sl-5", replace(config, selector=SelectorConfig(decision_steps=10)), quiet=True)
+    folder = train_policy("ps-sl-5", config, quiet=True)
     states = int(float(progress(folder)[-1]["states"]))
     # 90 states: 96 from 8 robots; 2 x 48 = 96; 5 x 24 = 120.  Never fewer than asked for.
     assert states == {0: 96, 1: 96, 4: 120}[rounds]
-    assert load_policy("ps-sl-5", config).decision_steps == 10
 
 
 def test_the_supervised_selector_sees_every_course_and_level(config, monkeypatch):
@@ -684,7 +677,7 @@ def test_distilled_run(config, tmp_path, finished_run):
     assert [(row["round"], row["states"]) for row in progress(folder)] == [("0", "48")] * 2 + [("1", "96")] * 2
     arrays, meta = read_npz(folder / "policy.npz")
     assert meta["steps"] == 96 and set(meta["teachers"]) == {"walk", "climb-up", "climb-down", "leap", "beam"}
-    assert not any(name.startswith("critic.") for name in arrays)
+    assert not any(name.startswith("net.critic.") for name in arrays)
     assert isinstance(load_policy("distilled", config), Single)
 
 
