@@ -167,13 +167,13 @@ def test_action_that_is_not_finite_is_refused(bad):
     env = make_env()
     action = still(env)
     action[2, 5] = bad
-    with pytest.raises(ValueError, match="1 entries"):
+    with pytest.raises(UserError, match="1 entries"):
         env.step(action)
 
 
 def test_a_refused_action_changes_nothing():
     a, b = make_env(), make_env()
-    with pytest.raises(ValueError):
+    with pytest.raises(UserError):
         a.step(np.full((4, ACTION_DIM), np.nan))
     np.testing.assert_array_equal(a.step(still(a))[0], b.step(still(b))[0])
 
