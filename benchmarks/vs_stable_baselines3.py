@@ -17,14 +17,14 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from itertools import islice
 
-import numpy as np
-import torch
-from common import available_cores, machine, report, require, start, walk_training
-
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.ppo import Learner, PPOConfig, train
 from agility_ref.terrain import NUM_WAYPOINTS
+
+import numpy as np
+import torch
+from common import available_cores, machine, report, require, start, walk_training
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,12 @@ import os
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-import pytest
-
 from agility_ref.env import ACTION_DIM
 from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.policy import Policy, write_npz
 from agility_ref.ppo import Learner, PPOConfig
+
+import pytest
 
 SKILLS = ("walk", "climb-up", "climb-down", "leap", "beam")
 

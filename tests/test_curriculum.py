@@ -1,10 +1,10 @@
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from agility_ref.curriculum import Curriculum, CurriculumConfig, level_difficulties, training_world
 from agility_ref.terrain import beam_width
+
+import numpy as np
+import pytest
 
 PLAIN = CurriculumConfig(num_levels=4, variants=1, promote=0.75, demote=0.4, easy_share=0.0)
 

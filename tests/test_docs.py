@@ -4,11 +4,11 @@ import pydoc
 import re
 from pathlib import Path
 
-import pytest
-from test_layout import CORE
-
 from agility_ref.observation import OBSERVATION, observation_slices
 from agility_ref.rewards import TERMS, RewardConfig
+
+import pytest
+from test_layout import CORE
 
 ROOT = Path(__file__).parent.parent
 PAGES = ["README.md", "benchmarks/README.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))]

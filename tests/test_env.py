@@ -1,8 +1,5 @@
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from agility_ref.env import ACTION_DIM, TRAINING, EnvConfig, Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS, STAND_HEIGHT
 from agility_ref.observation import (
@@ -19,6 +16,9 @@ from agility_ref.observation import (
 from agility_ref.rewards import compute_reward
 from agility_ref.terrain import CELL, COURSE_KINDS, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, make_course
 from agility_ref.world import World
+
+import numpy as np
+import pytest
 
 CLEAN = EnvConfig().clean()
 SLICES = observation_slices()

@@ -1,9 +1,6 @@
 import json
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from agility_ref import evaluate as evaluation_module
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError
@@ -27,6 +24,9 @@ from agility_ref.results.published import evaluate_by_protocol
 from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, SKILLS
 from agility_ref.training.policies import ENVIRONMENTS
+
+import numpy as np
+import pytest
 
 SHORT = EnvConfig(episode_seconds=0.6)  # 30 steps
 FEW = EvaluationConfig(episodes=3, seed=1)

@@ -1,7 +1,3 @@
-import numpy as np
-import pytest
-import torch
-
 from agility_ref.networks import (
     ActorCritic,
     Categorical,
@@ -13,6 +9,10 @@ from agility_ref.networks import (
     gaussian_log_prob,
     mlp,
 )
+
+import numpy as np
+import pytest
+import torch
 
 
 @pytest.fixture

@@ -2,9 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS
 from agility_ref.observation import (
@@ -22,6 +19,9 @@ from agility_ref.observation import (
 )
 from agility_ref.terrain import make_course
 from agility_ref.world import World
+
+import numpy as np
+import pytest
 
 SLICES = observation_slices()
 

@@ -1,15 +1,15 @@
 import json
 
-import numpy as np
-import pytest
-import torch
-
 from agility_ref.errors import UserError
 from agility_ref.networks import ActorCritic
 from agility_ref.policy import SCHEMA, Policy, elu, layers_of, mlp, read_npz, write_npz
 from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.training.progress import processor, versions
 from agility_ref.training.weights import sha256
+
+import numpy as np
+import pytest
+import torch
 
 META = {"policy": "walk", "act_dim": 3, "steps": 7}
 

@@ -1,10 +1,6 @@
 from copy import deepcopy
 from dataclasses import replace
 
-import numpy as np
-import pytest
-import torch
-
 from agility_ref.networks import Categorical, Gaussian
 from agility_ref.observation import OBS_DIM
 from agility_ref.ppo import (
@@ -22,6 +18,10 @@ from agility_ref.ppo import (
     update,
     update_actor,
 )
+
+import numpy as np
+import pytest
+import torch
 
 torch.set_num_threads(1)
 TINY = PPOConfig(num_envs=8, num_steps=16, hidden=(16,), update_epochs=2, num_minibatches=2)

@@ -1,6 +1,3 @@
-import numpy as np
-import pytest
-
 from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.policy import Policy
@@ -19,6 +16,9 @@ from agility_ref.selector import (
 )
 from agility_ref.terrain import SKILLS, make_course
 from agility_ref.world import World
+
+import numpy as np
+import pytest
 
 FIVE = ("walk", "climb-up", "climb-down", "leap", "beam")
 

@@ -7,14 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from agility_ref.errors import UserError
 from agility_ref.policy import Policy
 from agility_ref.results.cells import cell_path
 from agility_ref.results.table1 import table_lines
 from agility_ref.simulation import default_threads
 from agility_ref.training.policies import POLICIES
+
+import pytest
 
 ROOT = Path(__file__).parent.parent
 WORKFLOW = ROOT / "workflow"

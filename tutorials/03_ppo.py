@@ -13,9 +13,6 @@
 # %%
 from pathlib import Path
 
-import numpy as np
-import torch
-
 from agility_ref.curriculum import PRESETS
 from agility_ref.evaluate import EvaluationConfig, evaluate, evaluation_env
 from agility_ref.pictures.plots import BLUE, GREEN, ORANGE, RED, learning_curve, new_figure
@@ -26,6 +23,9 @@ from agility_ref.training.bank import load_policy, run_folder
 from agility_ref.training.policies import find_policy
 from agility_ref.training.progress import read_progress
 from agility_ref.training.runs import TrainConfig, train_policy
+
+import numpy as np
+import torch
 
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)

@@ -6,6 +6,7 @@ matplotlib is imported when a figure is drawn, never at import.
 """
 
 import os
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -71,6 +72,23 @@ def new_figure(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0
     figure = empty_figure(size)
     figure.set_layout_engine("constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def show(figure, name: str) -> None:
+    """Show a figure of a tutorial: below the cell in a notebook, else as the file ``figures/<name>.png``."""
+    if "ipykernel" in sys.modules:
+        from io import BytesIO
+
+        from IPython.display import Image, display
+
+        png = BytesIO()
+        figure.savefig(png, format="png", dpi=110)
+        display(Image(data=png.getvalue()))
+        return
+    path = Path("figures", f"{name}.png").resolve()
+    path.parent.mkdir(exist_ok=True)
+    figure.savefig(path, dpi=110)
+    print("figure:", path)
 
 
 def save_figure(figure, out: Path, command: str) -> list[Path]:

@@ -4,12 +4,12 @@ import os
 import subprocess
 import sys
 
-import numpy as np
-import pytest
-
 from agility_ref.cli.main import COMMANDS, main
 from agility_ref.evaluate import METRICS
 from agility_ref.training.policies import POLICIES
+
+import numpy as np
+import pytest
 
 
 @pytest.fixture(autouse=True)

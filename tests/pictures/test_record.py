@@ -1,6 +1,3 @@
-import numpy as np
-import pytest
-
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluate, evaluation_env
@@ -9,14 +6,17 @@ from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
 from agility_ref.terrain import SKILLS, make_course
 from agility_ref.world import World
 
+import numpy as np
+import pytest
+
 CONFIG = EvaluationConfig(difficulty=0.3, seed=4)
 
 
 @pytest.fixture(scope="module")
 def random_policy():
-    from conftest import random_arrays
-
     from agility_ref.policy import Policy
+
+    from conftest import random_arrays
 
     return Single("random", Policy.from_arrays(random_arrays(0, gain=100.0), {"policy": "random", "act_dim": 12}))
 

@@ -1,8 +1,5 @@
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
 from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.policy import Policy
@@ -11,6 +8,9 @@ from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
 from agility_ref.terrain import make_course
 from agility_ref.training.distill import DistillConfig, FineTuneConfig, collect_actions, fit_student
 from agility_ref.world import World
+
+import numpy as np
+import pytest
 
 SMALL = DistillConfig(epochs=20, batch_size=64, learning_rate=3e-3)
 

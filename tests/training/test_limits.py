@@ -1,8 +1,6 @@
 import re
 from dataclasses import asdict, replace
 
-import pytest
-
 from agility_ref.env import EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.ppo import PPOConfig
@@ -13,6 +11,8 @@ from agility_ref.training.distill import DistillConfig, FineTuneConfig
 from agility_ref.training.limits import ABOVE_ZERO, AT_LEAST, AT_MOST, check_settings
 from agility_ref.training.policies import POLICIES, find_policy
 from agility_ref.training.runs import TrainConfig
+
+import pytest
 
 CONFIG = TrainConfig()
 FLAGS = as_flags(asdict(CONFIG))

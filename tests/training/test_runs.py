@@ -4,9 +4,6 @@ import re
 from dataclasses import replace
 from itertools import count
 
-import numpy as np
-import pytest
-
 from agility_ref.curriculum import CurriculumConfig
 from agility_ref.env import ACTION_DIM, EnvConfig
 from agility_ref.errors import UserError
@@ -23,6 +20,9 @@ from agility_ref.training.distill import DistillConfig, FineTuneConfig
 from agility_ref.training.policies import find_policy
 from agility_ref.training.progress import PROGRESS, ProgressLog, read_progress, read_rows
 from agility_ref.training.runs import TrainConfig, train_policy
+
+import numpy as np
+import pytest
 
 BATCH = 8 * 4
 TINY = PPOConfig(num_envs=8, num_steps=4, hidden=(8,), update_epochs=1, num_minibatches=1)

@@ -1,7 +1,5 @@
 import json
 
-import pytest
-
 from agility_ref.curriculum import PRESETS
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
@@ -10,6 +8,8 @@ from agility_ref.policy import Policy, read_npz, write_npz
 from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.training import weights
 from agility_ref.training.weights import sha256
+
+import pytest
 
 
 @pytest.fixture
