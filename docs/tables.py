@@ -2,6 +2,7 @@
 
 README.md         the waypoints, from docs/full/table1.csv (a copy of what ``make table1`` writes into results/)
 docs/cluster.md   costs and training times, from agility_ref/weights/manifest.json
+docs/tutorials.md the scripts and their titles, from tutorials/
 
 Each stands between a begin and an end mark.  The tests hold the pages to the files.
 """
@@ -38,10 +39,20 @@ def waypoint_table(path: Path = ROOT / "docs" / "full" / "table1.csv") -> str:
     return "\n".join(lines) + "\n"
 
 
+def tutorial_table() -> str:
+    """Return the tutorials with their titles as Markdown, in their order."""
+    lines = ["| script | what it is about |", "|---|---|"]
+    for script in sorted((ROOT / "tutorials").glob("[0-9]*.py")):
+        title = re.search(r"^# # (.+)$", script.read_text(encoding="utf-8"), re.M)[1]
+        lines.append(f"| `python tutorials/{script.name}` | {title} |")
+    return "\n".join(lines) + "\n"
+
+
 TABLES = (  # page, mark, what stands there
     ("README.md", "results", waypoint_table),
     ("docs/cluster.md", "costs", costs.cost_table),
     ("docs/cluster.md", "minutes", costs.minutes_table),
+    ("docs/tutorials.md", "tutorials", tutorial_table),
 )
 
 
