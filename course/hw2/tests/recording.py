@@ -1,6 +1,6 @@
 """Record a short piece of two episodes of Go1Env, with the reward terms that it gave."""
 
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ OTHER_FEET = [1, 0, 3, 2]  # agility_ref: FR FL RR RL
 WALK = sorted(Path(agility_ref.__file__).parent.glob("weights/walk-full-*.npz"))[0]
 
 
-@lru_cache(maxsize=None)
+@cache
 def record(seed: int) -> tuple[Log, dict[str, np.ndarray]]:
     """Let the shipped walk policy walk, noisily; return the log and every term (100, N), unweighted."""
     rng = np.random.default_rng(seed)
