@@ -1,4 +1,4 @@
-# make table1 | test | lint | clean | help
+# make table1 | test | lint | notebooks | clean | help
 # Everything is installed into .venv, once; the stamp files there say what has been done.
 
 PYTHON ?= python3
@@ -15,10 +15,10 @@ export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help table1 test lint clean
+.PHONY: help table1 test lint notebooks clean
 
 help:  ## print this list
-	@awk -F ':.*## ' '/^[a-z0-9]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z0-9]+:.*## / {printf "  make %-9s %s\n", $$1, $$2}' Makefile
 
 table1: $(VENV)/.installed  ## evaluate the shipped policies and print Table 1 beside the paper's
 	$(BIN)/$(TABLE1)
@@ -29,6 +29,16 @@ test: $(VENV)/.installed-test  ## run the tests
 lint: $(VENV)/.installed-lint  ## check the style with ruff
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+NOTEBOOKS = $(patsubst tutorials/%.py,notebooks/%.ipynb,$(wildcard tutorials/[0-9]*.py))
+
+notebooks: $(VENV)/.installed-notebooks $(NOTEBOOKS)  ## run the tutorials and write them as notebooks, with their figures
+
+notebooks/%.ipynb: tutorials/%.py | $(VENV)/.installed-notebooks
+	mkdir -p $(@D)
+	$(BIN)/jupytext --quiet --to ipynb --output $(@D)/.$(@F) $<
+	$(BIN)/jupyter nbconvert --log-level WARN --to notebook --execute --inplace --ExecutePreprocessor.timeout=-1 $(@D)/.$(@F)
+	mv $(@D)/.$(@F) $@
 
 clean:  ## remove the environment and what tools left behind; keeps runs/ and results/
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache

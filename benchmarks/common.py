@@ -22,11 +22,6 @@ from types import ModuleType
 from agility_ref.env import EnvConfig, Go1Env
 
 # isort: split
-import mujoco
-import numpy as np
-import tyro
-from mujoco import batch
-
 from agility_ref.curriculum import PRESETS, Curriculum, CurriculumConfig, training_world
 from agility_ref.env import TRAINING
 from agility_ref.errors import UserError
@@ -35,6 +30,11 @@ from agility_ref.simulation import Placement
 from agility_ref.terrain import CELL, COURSE_KINDS, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, Box, Course, make_course
 from agility_ref.training.progress import processor
 from agility_ref.world import height_map
+
+import mujoco
+import numpy as np
+import tyro
+from mujoco import batch
 
 # ---------------------------------------------------------------------------- time
 

@@ -14,8 +14,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from agility_ref.env import ACTION_DIM, EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluate
@@ -26,6 +24,8 @@ from agility_ref.ppo import Learner, train
 from agility_ref.selector import Single
 from agility_ref.training.policies import find_policy, requirements
 from agility_ref.training.runs import TrainConfig, make_env
+
+import numpy as np
 
 CURVE_COLUMNS = ("steps", "seconds", "waypoint_fraction", "falls", "level")
 Judge = Callable[[Policy], dict[str, float]]

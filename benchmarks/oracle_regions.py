@@ -11,9 +11,6 @@ say what the choice is worth: a difference measured where it was picked would fl
 from dataclasses import asdict, dataclass
 from unittest.mock import patch
 
-import numpy as np
-from common import machine, report, start
-
 from agility_ref import world
 from agility_ref.curriculum import CurriculumConfig, find_preset, training_world
 from agility_ref.env import Go1Env
@@ -22,6 +19,9 @@ from agility_ref.selector import Hierarchy
 from agility_ref.stats import paired_difference
 from agility_ref.training.bank import load_policy
 from agility_ref.training.runs import TrainConfig
+
+import numpy as np
+from common import machine, report, start
 
 KINDS = {  # skill -> the courses that need it
     "climb-up": ("climb-up", "climb", "climb-gap"),

@@ -9,14 +9,14 @@ Every variant learns on the same robots in turn.  One iteration is ``collect`` a
 import time
 from dataclasses import asdict, dataclass, replace
 
-import numpy as np
-import torch
-from common import Taped, alternate, available_cores, machine, ratio, report, show, start, walk_training
-
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.policy import Policy
 from agility_ref.ppo import Learner, PPOConfig, collect, train, update
+
+import numpy as np
+import torch
+from common import Taped, alternate, available_cores, machine, ratio, report, show, start, walk_training
 
 
 @dataclass(frozen=True)

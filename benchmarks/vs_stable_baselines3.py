@@ -17,14 +17,14 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from itertools import islice
 
-import numpy as np
-import torch
-from common import available_cores, machine, report, require, start, walk_training
-
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.ppo import Learner, PPOConfig, train
 from agility_ref.terrain import NUM_WAYPOINTS
+
+import numpy as np
+import torch
+from common import available_cores, machine, report, require, start, walk_training
 
 
 @dataclass(frozen=True)
@@ -114,10 +114,10 @@ def adapter(env: Go1Env, episodes: deque, seed: int) -> object:
             infos: list[dict] = [{} for _ in range(env.num_envs)]
             for i in np.flatnonzero(done):
                 infos[i] = {
-                    "terminal_observation": info["final_observation"][i],
+                    "terminal_observation": info["final_obs"][i],
                     "TimeLimit.truncated": bool(truncated[i]),
                 }
-                episodes.append(info["episode"]["waypoints"][i] / NUM_WAYPOINTS)
+                episodes.append(info["totals"]["waypoints"][i] / NUM_WAYPOINTS)
             return observation, reward, done, infos
 
         def close(self):

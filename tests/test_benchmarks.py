@@ -6,6 +6,22 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 
+from agility_ref import go1
+from agility_ref.curriculum import CurriculumConfig
+from agility_ref.env import EnvConfig
+from agility_ref.errors import UserError
+from agility_ref.evaluate import Evaluation, EvaluationConfig
+from agility_ref.observation import OBS_DIM
+from agility_ref.policy import read_npz
+from agility_ref.ppo import PPOConfig
+from agility_ref.results import findings
+from agility_ref.results.findings import read_ablations
+from agility_ref.selector import Single, oracle_hierarchy
+from agility_ref.terrain import make_course
+from agility_ref.training.policies import POLICIES
+from agility_ref.training.runs import TrainConfig, train_policy
+from agility_ref.world import World
+
 import mujoco
 import numpy as np
 import pytest
@@ -23,22 +39,6 @@ import pushes
 import skills_table
 import time_to_skill
 import time_to_walk
-
-from agility_ref import go1
-from agility_ref.curriculum import CurriculumConfig
-from agility_ref.env import EnvConfig
-from agility_ref.errors import UserError
-from agility_ref.evaluate import Evaluation, EvaluationConfig
-from agility_ref.observation import OBS_DIM
-from agility_ref.policy import read_npz
-from agility_ref.ppo import PPOConfig
-from agility_ref.results import findings
-from agility_ref.results.findings import read_ablations
-from agility_ref.selector import Single, oracle_hierarchy
-from agility_ref.terrain import make_course
-from agility_ref.training.policies import POLICIES
-from agility_ref.training.runs import TrainConfig, train_policy
-from agility_ref.world import World
 
 TINY = {
     "preset": "quick",

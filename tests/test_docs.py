@@ -1,11 +1,13 @@
+import configparser
+import importlib.util
 import re
 from pathlib import Path
 
-import pytest
-from test_layout import CORE
-
 from agility_ref.observation import OBSERVATION, observation_slices
 from agility_ref.rewards import TERMS, RewardConfig
+
+import pytest
+from test_layout import CORE
 
 ROOT = Path(__file__).parent.parent
 PAGES = ["README.md", "benchmarks/README.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))]
@@ -44,3 +46,23 @@ def test_tables_are_whole(page):
 def test_the_reading_order_is_the_core():
     names = re.findall(r"^\| `(\w+)\.py` \|", (ROOT / "README.md").read_text(), re.M)
     assert tuple(names) == CORE
+
+
+def test_the_table_of_the_readme_is_that_of_the_csv():
+    spec = importlib.util.spec_from_file_location("tables", ROOT / "docs" / "tables.py")
+    tables = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tables)
+    readme = (ROOT / "README.md").read_text()
+    table = tables.waypoint_table(ROOT / "docs" / "full" / "table1.csv")
+    assert table.count("\n") == 2 + 4 and tables.with_table(readme, table) == readme
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+
+
+def test_every_extra_has_its_line():
+    setup = configparser.ConfigParser()
+    setup.read(ROOT / "setup.cfg")
+    table = (ROOT / "docs" / "installation.md").read_text().partition("<!-- extras:begin")[2]
+    assert set(setup["options.extras_require"]) <= set(re.findall(r"^\| `(\w+)` \|", table, re.M))

@@ -1,7 +1,3 @@
-import mujoco
-import numpy as np
-import pytest
-
 from agility_ref.go1 import (
     DEFAULT_DOF_POS,
     DOF_RANGE,
@@ -16,6 +12,10 @@ from agility_ref.go1 import (
 )
 from agility_ref.terrain import CELL, COURSE_KINDS, GRID_SHAPE, LANE_WIDTH, make_course
 from agility_ref.world import height_map
+
+import mujoco
+import numpy as np
+import pytest
 
 JOINT_ORDER = "FR_hip FR_thigh FR_calf FL_hip FL_thigh FL_calf RR_hip RR_thigh RR_calf RL_hip RL_thigh RL_calf".split()
 

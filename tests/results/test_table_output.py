@@ -2,12 +2,12 @@ import csv
 import math
 import re
 
-import pytest
-
 from agility_ref.evaluate import METRICS, EvaluationConfig
 from agility_ref.results import table_output
 from agility_ref.results.table1 import Row, Summary, paper_cells, table_rows
 from agility_ref.results.table_output import csv_line, format_value, latex, markdown, text, title, write_all
+
+import pytest
 
 OURS = Summary(
     mean_std={"reward": (1.0, 2.0), "episode_length": (300.4, 50.0),

@@ -3,15 +3,15 @@
 from functools import cache
 from pathlib import Path
 
-import numpy as np
-from adapters import Log
-
 import agility_ref
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.go1 import FOOT_RADIUS, FOOT_TOUCH, FOOT_VELOCITY
 from agility_ref.policy import Policy
 from agility_ref.terrain import make_course
 from agility_ref.world import World
+
+import numpy as np
+from adapters import Log
 
 STEPS = 50  # of either episode: a log of 100 steps
 OTHER_FEET = [1, 0, 3, 2]  # agility_ref: FR FL RR RL
