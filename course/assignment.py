@@ -1,5 +1,6 @@
 """Where the parts of an assignment lie, and what its tests are worth."""
 
+import csv
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,15 @@ class Assignment:
     def handout(self) -> str:
         """The sheet that students get."""
         return (self.folder / "handout.md").read_text(encoding="utf-8")
+
+    @property
+    def training(self) -> dict[str, float]:
+        """Budget and threshold of the test that trains a robot: training.csv, empty where there is none."""
+        path = self.folder / "tests" / "training.csv"
+        if not path.exists():
+            return {}
+        with path.open(newline="", encoding="utf-8") as file:
+            return {row["name"]: float(row["value"]) for row in csv.DictReader(file)}
 
     @property
     def sources(self) -> dict[Path, str]:

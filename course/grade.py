@@ -21,10 +21,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from course.assignment import HERE, Assignment
-from course.submission import Rejected, copy_submission, find_root, find_submissions
+from course.release import BEGIN
+from course.submission import ENTRY, Rejected, copy_submission, find_root, find_submissions
 
 MAX_FILE = 64 * 2**20  # bytes that a submission may write into one file, its captured output included
-TRAINING = {"hw3": 600}  # [s] more for a submission that trains
 
 
 @dataclass
@@ -72,7 +72,7 @@ def _limits(memory: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def _run(command: list[str], cwd: Path, env: dict, seconds: int, memory: int) -> str:
+def _run(command: list[str], cwd: Path, env: dict, seconds: float, memory: int) -> str:
     """Run pytest; return how it died, or nothing."""
     process = subprocess.Popen(
         command, cwd=cwd, env=env, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -81,7 +81,7 @@ def _run(command: list[str], cwd: Path, env: dict, seconds: int, memory: int) ->
     try:
         status = process.wait(seconds)
     except subprocess.TimeoutExpired:
-        return f"stopped after {seconds} s"
+        return f"stopped after {seconds:g} s"
     finally:
         try:
             os.killpg(process.pid, signal.SIGKILL)  # whatever it has started
@@ -107,6 +107,10 @@ def grade(assignment: Assignment, student: str, source: Path, options: argparse.
         except Rejected as reason:
             result.note = one_line(str(reason))
             return result, ""
+        for path, text in assignment.sources.items():
+            if BEGIN not in text and path.name != ENTRY:  # what there was nothing to write in is put back
+                (root / path).parent.mkdir(parents=True, exist_ok=True)
+                (root / path).write_text(text, encoding="utf-8")
         (work / "tests").mkdir()
         for path in assignment.tests(hidden=True):
             name = "conftest.py" if path.name == "conftest_for_students.py" else path.name
@@ -123,7 +127,7 @@ def grade(assignment: Assignment, student: str, source: Path, options: argparse.
         ]  # fmt: skip
         if options.no_training:
             command += ["-m", "not training"]
-        seconds = options.seconds + (0 if options.no_training else TRAINING.get(assignment.name, 0))
+        seconds = options.seconds + (0 if options.no_training else assignment.training.get("seconds", 0))
         death = _run(command, root, env, seconds, options.memory)
         _add_up(result, _read(report), death)
         return result, junit.read_text(encoding="utf-8") if junit.exists() else ""

@@ -46,7 +46,8 @@ def test_bounce_is_the_trunks(seed):
 def test_waypoints_of_random_paths(seed):
     rng = np.random.default_rng(seed)
     steps, robots, total = 300, 6, 4
-    waypoints = np.cumsum(rng.uniform(0.3, 0.6, (robots, total, 2)), axis=1)
+    waypoints = np.cumsum(rng.uniform(0.02, 0.4, (robots, total, 2)), axis=1)
+    waypoints[:, 2] = waypoints[:, 1] + 0.01  # reached one after the other, at the same place
     along = np.clip(np.cumsum(rng.uniform(-0.02, 0.045, (steps, robots)), axis=0), 0, total)
     position = np.empty((steps, robots, 2))
     for n in range(robots):
