@@ -4,16 +4,16 @@ The Go1 of ``agility_ref`` on level ground, blind (without scandots), without no
 minutes on two cores.
 """
 
-import adapters  # before numpy: it imports agility_ref
-import numpy as np
-import torch
-
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.observation import SCANDOTS
 from agility_ref.terrain import make_course
 from agility_ref.world import World
 from hw3.network import Policy
 from hw3.ppo import Batch
+
+import adapters  # before numpy: it imports agility_ref
+import numpy as np
+import torch
 
 ROBOTS, STEPS = 256, 16
 OBS, ACT = SCANDOTS.start, 12
