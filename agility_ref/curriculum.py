@@ -14,6 +14,7 @@ Out: the index of each robot's next course in the :class:`~agility_ref.world.Wor
 from dataclasses import dataclass
 
 from agility_ref.errors import require_at_least, unknown_name
+from agility_ref.files import pack_stream, unpack_stream
 from agility_ref.terrain import EASIEST, make_course
 from agility_ref.world import World
 
@@ -140,8 +141,13 @@ class Curriculum:
 
     def state(self) -> dict[str, np.ndarray]:
         """Return what a resumed run needs."""
-        return {"frontier": self.frontier.copy(), "score": self.score.copy()}
+        own = {name: getattr(self, name).copy() for name in ("frontier", "score", "kind", "level")}
+        return own | {"rng": pack_stream(self.rng)}
 
     def load_state(self, state: dict[str, np.ndarray]) -> None:
-        """Restore :meth:`state`; the robots start new episodes at their levels."""
-        self.frontier[:], self.score[:] = state["frontier"], state["score"]
+        """Go on from :meth:`state`."""
+        top = self.config.num_levels - 1
+        self.frontier[:], self.level[:] = (np.clip(state[name], 0, top) for name in ("frontier", "level"))
+        self.kind[:] = np.clip(state["kind"], 0, len(self.frontier) - 1)
+        self.score[:] = state["score"]
+        unpack_stream(self.rng, state["rng"])

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from agility_ref.errors import UserError, require_at_least
+from agility_ref.files import pack_stream, unpack_stream
 from agility_ref.go1 import (
     BODY_TOUCH,
     DEFAULT_DOF_POS,
@@ -79,6 +80,12 @@ class EnvConfig:
 # of 20 s fills the batch with nothing.
 TRAINING = EnvConfig(turned_start_share=0.1, stall_seconds=5.0)
 ACTION_DIM = 12
+# What the next step depends on, beside the physics and the random streams.
+STATE = (
+    "course", "waypoint_index", "command", "yaw", "base_lin_vel", "projected_gravity", "heading_error", "foot_contact",
+    "push_timer", "_reach_timer", "_reach_step", "_step_count", "_last_action", "_scandots", "_clock",
+    "_episode_reward", "_episode_edge", "observation",
+)  # fmt: skip
 NextCourse = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
 
 
@@ -190,7 +197,7 @@ class Go1Env:
         self.push_timer = np.zeros(n, int)  # control steps until the next push, 1 before the step that it strikes in
         self._last_action = np.zeros((n, ACTION_DIM))
         self._scandots = np.zeros((n, NUM_SCANDOTS), np.float32)
-        self._clock = 0  # actions since the environment was made
+        self._clock = np.array(0)  # actions since the environment was made
         self._episode_reward, self._episode_edge = np.zeros(n), np.zeros(n)
         self.reset(seed)
 
@@ -200,17 +207,41 @@ class Go1Env:
         Parameters
         ----------
         seed : of everything drawn from here on, in the order of the steps
-        mask : (N,) bool, the robots that start anew, all by default; the others stay where they are
+        mask : (N,) bool, the robots whose episodes have ended and that start anew, all by default;
+            the others stay where they are
         """
         if seed is not None:
             # Noise and pushes have a stream of their own, drawn for all robots at once: two
             # policies that are evaluated with one seed meet the same starts, noise and pushes.
             self.rng, self._disturbance_rng = (np.random.default_rng([seed, k]) for k in (2, 3))
-            self._clock = 0
+            self._clock[()] = 0
         ids = self._everyone if mask is None else np.flatnonzero(mask)
-        self._reset(ids, None)
+        self._reset(ids, None if mask is None else self.waypoint_index[ids] / NUM_WAYPOINTS)
         self._look(ids)
-        return self._observe(slice(None), self._draw_disturbance()[:, 2:]), {}
+        self.observation = self._observe(slice(None), self._draw_disturbance()[:, 2:])
+        return self.observation, {}
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return all that :meth:`load_state` of an environment made alike needs to go on with the same bits."""
+        arrays = {name.strip("_"): getattr(self, name).copy() for name in STATE}
+        streams = {"rng": pack_stream(self.rng), "disturbance_rng": pack_stream(self._disturbance_rng)}
+        return arrays | streams | {"physics": self.simulation.batch.state.copy()}
+
+    def load_state(self, state: dict[str, np.ndarray]) -> None:
+        """Put the robots where :meth:`state` found them; ``observation`` is what they saw last.
+
+        Raises
+        ------
+        UserError : a robot is on no course of this world
+        """
+        for name, end in (("course", len(self.world)), ("waypoint_index", NUM_WAYPOINTS)):
+            if state[name].min() < 0 or state[name].max() >= end:
+                raise UserError(f"{name} of a robot must be from 0 to {end - 1}")
+        for name in STATE:
+            getattr(self, name)[...] = state[name.strip("_")]
+        self.simulation.load_state(self.course, state["physics"])
+        unpack_stream(self.rng, state["rng"])
+        unpack_stream(self._disturbance_rng, state["disturbance_rng"])
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
         """Advance every robot by one control step, or by ``action_repeat`` of them.
@@ -268,7 +299,7 @@ class Go1Env:
         due = (self._everyone + self._clock) % c.scandot_period == 0
         due[done] = True
         self._look(np.flatnonzero(due))
-        observation = self._observe(slice(None), noise)
+        self.observation = observation = self._observe(slice(None), noise)
         final_obs = observation.copy()
         if len(done):
             final_obs[done] = last_observation

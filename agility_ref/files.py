@@ -20,6 +20,8 @@ from typing import IO
 
 from agility_ref.errors import UserError
 
+import numpy as np
+
 PARTIAL = ".partial"  # the end of every temporary name
 MAX_TEXT = 64 * 2**20  # bytes of a text file that is read; the longest of ours, a progress.csv, has a few
 
@@ -151,3 +153,19 @@ def read_csv(path: Path, needed: tuple[str, ...] = ()) -> list[dict[str, str]]:
     if any(len(row) != len(head) for row in rows):
         raise UserError(f"{path} is damaged: rows of different lengths")
     return [dict(zip(head, row, strict=True)) for row in rows]
+
+
+def pack_stream(rng: np.random.Generator) -> np.ndarray:
+    """Return where a random stream is, (6,) uint64, for a file that goes on from there."""
+    state = rng.bit_generator.state
+    words = [half for key in ("state", "inc") for half in divmod(state["state"][key], 2**64)]
+    return np.array([*words, state["has_uint32"], state["uinteger"]], np.uint64)
+
+
+def unpack_stream(rng: np.random.Generator, packed: np.ndarray) -> None:
+    """Put a random stream where :func:`pack_stream` found one."""
+    high, low, inc_high, inc_low, has_half, half = map(int, packed)
+    state = {"state": high << 64 | low, "inc": inc_high << 64 | inc_low}
+    rng.bit_generator.state = {
+        "bit_generator": "PCG64", "state": state, "has_uint32": has_half & 1, "uinteger": half & (2**32 - 1)
+    }  # fmt: skip

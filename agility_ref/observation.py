@@ -46,6 +46,12 @@ def observation_slices() -> dict[str, slice]:
 SCANDOTS = observation_slices()["scandots"]
 # One draw an entry, but one for all scandots together: an error of the height estimate.
 NOISE = np.array([a for name, (n, a) in OBSERVATION.items() for _ in range(n if name != "scandots" else 1)], np.float32)
+# Bounds of an observation, noise included, for spaces that have to be finite.  No working robot reaches those that are
+# not of geometry: 20 m/s, 50 rad/s, 2 m/s of command, 100 rad/s of the joints, 4 units of action.
+_LIMITS = (20.0, 50.0, 1.0, np.pi, 2.0, np.pi, 100.0, 4.0, 1.0, 1.0)
+OBS_BOUND = np.concatenate(
+    [np.full(n, limit + noise, np.float32) for (n, noise), limit in zip(OBSERVATION.values(), _LIMITS, strict=True)]
+)
 
 
 @dataclass(frozen=True)

@@ -316,10 +316,20 @@ def update(learner: Learner, rollout: Rollout) -> dict[str, float]:
     return actor.result() | critic.result()
 
 
-def train(env, learner: Learner, total_steps: int, stop: Callable[[], bool] = lambda: False) -> Iterator[dict]:
-    """Alternate :func:`collect` and :func:`update` until ``total_steps``; yield each iteration's record."""
+def train(
+    env,
+    learner: Learner,
+    total_steps: int,
+    stop: Callable[[], bool] = lambda: False,
+    obs: np.ndarray | None = None,
+) -> Iterator[dict]:
+    """Alternate :func:`collect` and :func:`update` until ``total_steps``; yield each iteration's record.
+
+    A run that goes on starts from its last observation ``obs`` (N, obs_dim), others from new episodes.
+    """
     torch.set_num_threads(1)  # two threads fight the simulation's and gain nothing at this size
-    obs, _ = env.reset(learner.seed + learner.steps)
+    if obs is None:
+        obs, _ = env.reset(learner.seed + learner.steps)
     while learner.steps < total_steps and not stop():
         start = time.perf_counter()
         rollout, obs = collect(env, learner, obs)

@@ -94,22 +94,22 @@ class SelectorEnv:
     def __init__(self, env: Go1Env, hierarchy: Hierarchy, reward: str):
         """Take over the robots; the hierarchy's own chooser is not used."""
         self.env, self.hierarchy, self.reward = env, hierarchy, reward
-        self._observation = np.zeros((env.num_envs, OBS_DIM), np.float32)
+        self.reset, self.state, self.load_state = env.reset, env.state, env.load_state
 
-    def reset(self, seed: int | None = None) -> tuple[np.ndarray, dict]:
-        """Start new episodes."""
-        self._observation, info = self.env.reset(seed)
-        return self._observation, info
+    @property
+    def observation(self) -> np.ndarray:
+        """What the robots saw last, (N, 184)."""
+        return self.env.observation
 
     def step(self, skill: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
         """Let the chosen skills (N,) act for one control step."""
         wanted = self.hierarchy.labels[self.env.oracle_skill()]
-        action = self.hierarchy.execute(self._observation, skill)
-        self._observation, reward, terminated, truncated, info = self.env.step(action)
+        action = self.hierarchy.execute(self.env.observation, skill)
+        observation, reward, terminated, truncated, info = self.env.step(action)
         if self.reward == "oracle":
             # r = +1 right, -1 wrong: an L1 norm with the same weight for both (section 3.2.2)
             reward = np.where(skill == wanted, 1.0, -1.0) * self.env.config.dt
-        return self._observation, reward, terminated, truncated, info
+        return observation, reward, terminated, truncated, info
 
 
 @dataclass(frozen=True)

@@ -128,6 +128,11 @@ class Simulation:
         self.batch.state[ids] = self._start  # no velocity, no warm start of the solver
         self.qpos[ids] = qpos
 
+    def load_state(self, course: np.ndarray, physics: np.ndarray) -> None:
+        """Put all robots on courses (N,) in states ``batch.state`` (N, k) of before."""
+        self._placement.place(np.arange(len(course)), course)
+        self.batch.state[:] = physics
+
     def step(self, num_steps: int) -> np.ndarray:
         """Run physics steps; return which robots' simulations failed, (N,) bool."""
         failed = np.zeros(len(self.qpos), bool)

@@ -12,9 +12,9 @@ import signal
 import sys
 from pathlib import Path
 
-import pytest
-
 import agility_ref  # noqa: F401  (before numpy)
+
+import pytest
 
 sys.path.insert(0, os.environ.get("COURSE_SUBMISSION", str(Path(__file__).resolve().parent.parent)))
 SEEDS = [int(seed) for seed in os.environ.get("COURSE_SEEDS", "1 2 3").split()]

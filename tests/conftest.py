@@ -1,8 +1,15 @@
 """Small fixtures shared by the suite: random policies, and a folder of finished runs."""
 
 import os
+from contextlib import suppress
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+from agility_ref.errors import UserError
+from agility_ref.pictures.video import choose_gl
+
+with suppress(UserError):  # tests that need OpenGL are skipped without
+    choose_gl()  # before MuJoCo is imported
 
 from agility_ref.env import ACTION_DIM
 from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOT_MIRROR, SCANDOTS, Mirror

@@ -167,13 +167,13 @@ def test_action_that_is_not_finite_is_refused(bad):
     env = make_env()
     action = still(env)
     action[2, 5] = bad
-    with pytest.raises(ValueError, match="1 entries"):
+    with pytest.raises(UserError, match="1 entries"):
         env.step(action)
 
 
 def test_a_refused_action_changes_nothing():
     a, b = make_env(), make_env()
-    with pytest.raises(ValueError):
+    with pytest.raises(UserError):
         a.step(np.full((4, ACTION_DIM), np.nan))
     np.testing.assert_array_equal(a.step(still(a))[0], b.step(still(b))[0])
 
@@ -419,6 +419,15 @@ def test_without_autoreset_a_finished_robot_waits_for_its_reset():
     np.testing.assert_array_equal(obs[:, SLICES["last_action"]], action.astype(np.float32))
     env.reset(mask=truncated)
     assert not env.step(still(env))[3].any()
+
+
+def test_a_masked_reset_tells_how_far_the_episodes_came():
+    env, told = make_env("walk"), []
+    env.next_course = lambda ids, fraction: told.append((ids.tolist(), fraction)) or np.zeros(len(ids), int)
+    env.waypoint_index[:] = [2, 4, 6, 8]
+    env.reset(mask=np.array([False, True, False, True]))
+    ((ids, fraction),) = told
+    assert ids == [1, 3] and fraction.tolist() == [0.5, 1.0]
 
 
 def test_action_repeat_keeps_the_time_limit():

@@ -120,7 +120,7 @@ for terrain in TERRAINS:
     mean, low, high = paired_difference(a, b)
     # as if b had played other courses: its episodes in another order, so that nothing is shared
     shuffled = [paired_difference(a, np.random.default_rng(k).permutation(b))[1:] for k in range(20)]
-    alone = np.mean([h - l for l, h in shuffled])
+    alone = np.diff(shuffled).mean()
     print(
         f"  {terrain:10} {mean:+.2f} [{low:+.2f}, {high:+.2f}], {high - low:.2f} wide in pairs, {alone:.2f} without; "
         f"correlation {np.corrcoef(a, b)[0, 1]:+.2f}"

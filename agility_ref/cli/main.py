@@ -1,4 +1,4 @@
-"""The command line: ``agility-ref train | evaluate | table1 | diagnose | plot | video | watch | list``.
+"""The command line: ``agility-ref train | evaluate | table1 | diagnose | plot | video | watch | export | list``.
 
 Every hyper-parameter is a flag, because every configuration is a frozen dataclass that
 tyro reads; the help text is the docstring of the field.  A mistake of the user prints one
@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Annotated
 
 from agility_ref.cli.diagnose import diagnose
+from agility_ref.cli.export import Export, ExportMJCF, export, export_mjcf
 from agility_ref.cli.pictures import plot, video, watch
 from agility_ref.errors import UserError, unknown_name
 
@@ -31,6 +32,8 @@ USAGE = """usage: agility-ref COMMAND [--help]
   plot KIND                          curves, strobe, oracle-map, episode, courses, skills, framework
   video POLICY --environment E       an episode as WebP, GIF or MP4
   watch POLICY --environment E       a live view in the browser
+  export POLICY                      as ONNX, TorchScript or plain arrays
+  export-mjcf --environment E        robot and course as one MJCF file
   list                               policies, environments, presets, weights
 """
 
@@ -209,6 +212,8 @@ def list_names(argv: list[str]) -> None:
 COMMANDS = {
     "train": train, "evaluate": evaluate, "table1": table1, "diagnose": diagnose, "plot": plot,
     "video": video, "watch": watch, "list": list_names,
+    "export": lambda argv: export(tyro.cli(Export, args=argv, prog="agility-ref export")),
+    "export-mjcf": lambda argv: export_mjcf(tyro.cli(ExportMJCF, args=argv, prog="agility-ref export-mjcf")),
 }  # fmt: skip
 
 

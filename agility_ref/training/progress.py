@@ -159,8 +159,10 @@ class ProgressLog:
                 file.write("".join(lines))
         self.written = len(self.rows)
 
-    def close(self) -> None:
-        """Finish the progress bar."""
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exc) -> None:
         self.bar.close()
 
 

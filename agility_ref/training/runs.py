@@ -53,7 +53,7 @@ from agility_ref.training.lock import locked
 from agility_ref.training.policies import PolicySpec, find_policy, requirements
 from agility_ref.training.progress import EPISODE, ProgressLog, StopRequest, attempt, rows_until, versions
 from agility_ref.training.sight import sight
-from agility_ref.training.state import learner_state, load_learner, policy_arrays, warm_start
+from agility_ref.training.state import check_arrays, go_on, learner_state, policy_arrays, robots_state, warm_start
 
 import numpy as np
 
@@ -212,7 +212,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
         env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward)
     batch = ppo.batch_size
     kinds = [f"level_{kind}" for kind in spec.courses] if len(spec.courses) > 1 and config.curriculum.enabled else []
-    rows, episodes = _resume_or_warm_start(spec, config, folder, learner, curriculum, bank, batch, kinds)
+    rows, episodes = _resume_or_warm_start(spec, config, folder, learner, env, curriculum, bank, batch, kinds)
     if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
     _write_config(spec, config, folder)
@@ -222,8 +222,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
     start = last_drawn - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
 
     def save(compress: bool) -> None:
-        arrays = policy_arrays(learner) | learner_state(learner) | seen
-        arrays |= {f"curriculum.{name}": value for name, value in curriculum.state().items()}
+        arrays = policy_arrays(learner) | learner_state(learner) | robots_state(env, curriculum) | seen
         arrays |= {"progress.episodes": log.last_episodes()}
         if bad := beyond_use(arrays):
             raise _diverged(folder, bad, learner, batch)
@@ -236,8 +235,8 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
         log.write()
         write_npz(folder / "policy.npz", arrays, meta, compress)
 
-    with stop, np.errstate(over="ignore", invalid="ignore"):  # what is no longer finite is found below
-        for record in train(env, learner, total, stop.requested):
+    with stop, log, np.errstate(over="ignore", invalid="ignore"):  # what is no longer finite is found below
+        for record in train(env, learner, total, stop.requested, env.observation if rows else None):
             if bad := next((key for key, value in record.items() if key != "episodes" and not np.isfinite(value)), ""):
                 raise _diverged(folder, bad, learner, batch)
             levels = curriculum.levels()
@@ -247,7 +246,6 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
             if draw and time.monotonic() - last_drawn > 60.0:
                 last_drawn = time.monotonic()
                 attempt(draw, folder / "progress.csv", folder / "learning_curve.png", spec.name)
-        log.close()
         save(compress=True)
     if learner.steps < total:
         raise KeyboardInterrupt(f"stopped at {learner.steps} of {total} steps; the same command goes on from {folder}")
@@ -272,6 +270,7 @@ def _resume_or_warm_start(
     config: TrainConfig,
     folder: Path,
     learner: Learner,
+    env: Go1Env | SelectorEnv,
     curriculum: Curriculum,
     bank: dict[str, str],
     batch: int,
@@ -287,12 +286,10 @@ def _resume_or_warm_start(
                 raise UserError(f"{folder} was started with {flag} {began}, not {ours}; give that, or another --out")
         for other in other_skills(meta, bank):
             raise UserError(f"{folder} was started over another {other}; give its folder, or another --out")
-        if not {"curriculum.frontier", "net.log_std", "progress.episodes"} <= arrays.keys():
-            raise UserError(f"{saved} can act but not be trained further: it lacks the state of a training run")
-        load_learner(learner, arrays)
+        check_arrays(saved, arrays, learner, env, curriculum)
         learner.steps, learner.start = meta["steps"], meta.get("start", 0)
-        curriculum.load_state({name: arrays[f"curriculum.{name}"] for name in curriculum.state()})
         rows = rows_until(folder / "progress.csv", learner.start, learner.steps, batch, tuple(levels))
+        go_on(arrays, learner, env, curriculum)
         return rows, arrays["progress.episodes"]
     if spec.warm_start and config.warm_start:
         source = weights_path(spec.warm_start, config)

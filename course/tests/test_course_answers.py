@@ -4,12 +4,12 @@ import argparse
 import re
 import time
 
-import mutants
-import pytest
-
 from course import grade
 from course.assignment import NAMES, find
 from course.release import release
+
+import mutants
+import pytest
 
 SEEDS = [5001, 5002]
 QUICK = "hw6"

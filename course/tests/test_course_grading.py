@@ -5,11 +5,11 @@ import json
 import zipfile
 from xml.etree import ElementTree
 
-import pytest
-
 from course.__main__ import main
 from course.assignment import find
 from course.release import release, starter
+
+import pytest
 
 CLAIMS = "hw6/claims.py"
 IQM = "    ordered = np.sort(np.ravel(scores))\n"

@@ -1,12 +1,12 @@
 """Hidden tests: random boxes against a slow reference, cell by cell, and the courses of agility_ref."""
 
+from agility_ref import world
+from agility_ref.terrain import CELL, LANE_LENGTH, LANE_WIDTH, make_course
+
 import adapters
 import numpy as np
 from adapters import Lane
 from test_public import same
-
-from agility_ref import world
-from agility_ref.terrain import CELL, LANE_LENGTH, LANE_WIDTH, make_course
 
 FINE = Lane(LANE_LENGTH, LANE_WIDTH, CELL)
 

@@ -1,13 +1,13 @@
 """Hidden tests: equivariance exactly, the robot's own legs, and properties of the frontier."""
 
+from agility_ref.go1 import DEFAULT_DOF_POS, make_model
+from agility_ref.terrain import make_course
+
 import adapters
 import mujoco
 import numpy as np
 import pytest
 import torch
-
-from agility_ref.go1 import DEFAULT_DOF_POS, make_model
-from agility_ref.terrain import make_course
 
 PARTS, LEGS = ("hip", "thigh", "calf"), ("FL", "FR", "RL", "RR")
 

@@ -1,11 +1,11 @@
 """Hidden tests: closed forms, and coverage by simulation."""
 
+from agility_ref import stats
+
 import adapters
 import numpy as np
 import pytest
 from adapters import Interval
-
-from agility_ref import stats
 
 
 def width(interval):

@@ -4,10 +4,10 @@ The learner has a skill for every level.  It learns a level by playing it if it 
 forgets, slowly, what it does not play.  This is a caricature of a robot, but it runs in a second.
 """
 
+import hw4.frontier  # before numpy: it imports agility_ref
+
 import matplotlib
 import numpy as np
-
-import hw4.frontier  # before numpy: it imports agility_ref
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
