@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass, replace
 from itertools import islice
 
 from agility_ref.env import ACTION_DIM, Go1Env
-from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.observation import ACTION_MIRROR, OBS_DIM, OBS_MIRROR, SCANDOTS
 from agility_ref.ppo import Learner, PPOConfig, train
 from agility_ref.terrain import NUM_WAYPOINTS
 
@@ -78,7 +78,7 @@ def our_turns(race: Race, config: Config) -> Callable[[], None]:
     """Return a function that trains ours for one turn."""
     ppo = replace(PPOConfig(), final_std=PPOConfig().init_std, anneal_share=0.0)
     env, _ = walk_training(config.seed, ppo.num_envs)
-    learner = Learner.create(OBS_DIM, ACTION_DIM, ppo, config.seed, fixed=SCANDOTS)
+    learner = Learner.create(OBS_MIRROR, ACTION_MIRROR, ppo, config.seed, fixed=SCANDOTS)
     iterations = train(env, learner, config.steps)
 
     def turn() -> None:
