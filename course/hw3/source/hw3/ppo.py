@@ -5,10 +5,10 @@ Arrays of a rollout are **(N, T): one row a robot**, one column a step.
 
 from dataclasses import dataclass
 
+from hw3.network import Policy
+
 import numpy as np
 import torch
-
-from hw3.network import Policy
 
 RUNNING, TERMINATED, TRUNCATED = 0, 1, 2
 """How a step ended an episode: not at all; by a fall; by the time limit or the end of the course."""

@@ -4,11 +4,11 @@ A runner moves along a course of ``agility_ref`` and sees the 132 scandots.  Wit
 runs straight; with another it stumbles: it slows down, turns away and sags, and sees the course from there.
 """
 
-import numpy as np
-
 from agility_ref.observation import scandots
 from agility_ref.terrain import CELL, make_course
 from agility_ref.world import World
+
+import numpy as np
 
 KINDS = ("climb-gap", "beam", "climb")
 END = 9.0  # [m]

@@ -4,12 +4,12 @@
 the right skill.
 """
 
+from agility_ref import terrain
+from hw5.runners import Runners
+
 import numpy as np
 import torch
 from torch import nn
-
-from agility_ref import terrain
-from hw5.runners import Runners
 
 SKILLS = ("beam", "climb-down", "climb-up", "leap", "walk")
 
