@@ -22,7 +22,7 @@ project = "agility_ref"
 author = "the agility_ref authors"
 version = release = agility_ref.__version__
 extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "jupyter_execute"]
 html_theme = "pydata_sphinx_theme"
 html_title = "agility_ref"
 html_static_path: list[str] = []
