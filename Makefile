@@ -1,4 +1,4 @@
-# make table1 | test | lint | notebooks | clean | help
+# make table1 | test | lint | notebooks | docs | clean | help
 # Everything is installed into .venv, once; the stamp files there say what has been done.
 
 PYTHON ?= python3
@@ -15,7 +15,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help table1 test lint notebooks clean
+.PHONY: help table1 test lint notebooks docs clean
 
 help:  ## print this list
 	@awk -F ':.*## ' '/^[a-z0-9]+:.*## / {printf "  make %-9s %s\n", $$1, $$2}' Makefile
@@ -40,8 +40,12 @@ notebooks/%.ipynb: tutorials/%.py | $(VENV)/.installed-notebooks
 	$(BIN)/jupyter nbconvert --log-level WARN --to notebook --execute --inplace --ExecutePreprocessor.timeout=-1 $(@D)/.$(@F)
 	mv $(@D)/.$(@F) $@
 
+docs: $(VENV)/.installed-docs  ## build the site in docs/_build/html, warnings as errors, and check its links
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs docs/_build/html
+	$(BIN)/python docs/links.py docs/_build/html
+
 clean:  ## remove the environment and what tools left behind; keeps runs/ and results/
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist docs/_build docs/api docs/tutorials *.egg-info .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/bin/python:
