@@ -125,8 +125,8 @@ print(f"the trunk's centre of mass is {1000 * trunk.ipos[1]:+.0f} mm to the left
 #
 # Not to the last digit, because the robot is only **nearly** symmetric.  Unitree put the battery and the computer where there
 # was room, and the trunk's centre of mass lies 2 mm to the left.  At first that hardly moves a joint; then a foot slips or
-# lands a step earlier on one side, and the two go their own ways: contacts make small differences large.  But for what a
-# policy has to know, a fraction of a second ahead, left and right are the same robot.
+# lands a step earlier on one side, and the two go their own ways: contacts make small differences large.  But for the next
+# few steps, which is what an action decides, left and right are the same robot.
 #
 # </details>
 
@@ -160,7 +160,7 @@ print(
 )
 own = sum(p.numel() for p in net.parameters())
 first = net.even[0].weight.numel() + net.odd[0].weight.numel()
-ordinary = sum(w.size + b.size for w, b in net.dense())
+ordinary = sum(array.size for array in net.dense().values())
 print(f"first layer: {first} weights instead of {184 * 256}; all layers: {own} numbers instead of {ordinary}")
 
 # %% [markdown]
