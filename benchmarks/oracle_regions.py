@@ -20,6 +20,7 @@ from agility_ref.env import Go1Env
 from agility_ref.pictures.record import play
 from agility_ref.selector import Hierarchy
 from agility_ref.stats import paired_difference
+from agility_ref.terrain import NUM_WAYPOINTS
 from agility_ref.training.bank import load_policy
 from agility_ref.training.runs import TrainConfig
 

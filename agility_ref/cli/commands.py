@@ -18,6 +18,7 @@ Environment = Annotated[str, tyro.conf.arg(metavar="ENVIRONMENT")]
 Preset = Annotated[str, tyro.conf.arg(metavar="PRESET")]
 Folder = Annotated[str, tyro.conf.arg(metavar="FOLDER")]
 File = Annotated[str, tyro.conf.arg(metavar="FILE")]
+Words = tuple[str, ...]
 
 
 def take(kind: type, options):
@@ -178,13 +179,13 @@ class Table1(Evaluated):
     train_seed: tyro.conf.Suppress[int] = 0
     episodes: int = 64
     """Complete episodes of each cell; usual 64 to 256."""
-    seeds: tuple[str, ...] = ("0",)
+    seeds: Annotated[Words, tyro.conf.arg(metavar="SEED ...")] = ("0",)
     """Training seeds of the weights: 0, or 0 1 2, or all for every seed that has weights."""
     train: bool = False
     """Train every policy first, from scratch; finished runs in --runs are kept."""
     findings: bool = False
     """Also check each finding of the paper; writes findings.md."""
-    compare: tuple[str, ...] = ()
+    compare: Annotated[Words, tyro.conf.arg(metavar="POLICY POLICY ...")] = ()
     """Two policies or more: waypoint fraction of the first minus that of each other one, on paired episodes."""
     ablations: File = ""
     """Ablations for the findings, where measured; benchmarks/results/ablations-<preset>.csv by default."""
@@ -254,7 +255,7 @@ class Diagnose(Evaluated):
 
     policy: tyro.conf.Positional[Policy]
     """oracle, ps-sl-5, ps-rl-3-env or ps-rl-3-oracle."""
-    environment: tuple[str, ...] = ("climb-gap", "gap", "beam", "climb")
+    environment: Annotated[Words, tyro.conf.arg(metavar="ENVIRONMENT ...")] = ("climb-gap", "gap", "beam", "climb")
     """One or more of climb-gap, gap, beam, climb; or training courses: walk, climb-up, climb-down."""
     episodes: int = 64
     """Complete episodes, one per course; usual 64 to 256."""

@@ -62,23 +62,6 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
 GROUPS = {"plot": "Draw a picture as PNG and SVG; KIND is one of those below."}
 
 
-def find(words: list[str]) -> Command | dict[str, Command]:
-    """Return what the first words name: a command, or a group of them where they end too early.
-
-    Raises
-    ------
-    UserError : no such command
-    """
-    found: Command | dict[str, Command] = COMMANDS
-    for word in words:
-        if isinstance(found, Command) or word.startswith("-"):
-            break
-        if word not in found:
-            raise unknown_name("command", word, found)
-        found = found[word]
-    return found
-
-
 def options_of(command: Command, every: bool) -> type:
     """Return the dataclass of a command's flags; of ``every`` one, or of those used first."""
     if not every or command.more is None:
@@ -101,22 +84,27 @@ def union(commands_: dict[str, Command | dict[str, Command]], chosen: Command | 
     return Union[tuple(members)]  # noqa: UP007 - the members are made here
 
 
-def parse(words: list[str]) -> tuple[Command | dict[str, Command], Any]:
+def parse(words: list[str]) -> tuple[Command, Any]:
     """Return the command and its options; prints help, and leaves, where that is asked for.
 
     Raises
     ------
     UserError : no such command
     """
-    if words[:1] == ["plot"] and len(words) > 1 and words[1] not in PLOTS and not words[1].startswith("-"):
-        if not (Path(words[1]) / "progress.csv").is_file():
-            raise UserError(f"{words[1]} is no picture ({', '.join(PLOTS)}) and holds no progress.csv")
-        words = ["plot", "run", *words[1:]]  # a run folder needs no kind
-    command = find(words)
+    found, program, about = COMMANDS, PROGRAM, ABOUT
+    if words[:1] == ["plot"]:
+        found, program, about, words = PLOTS, f"{PROGRAM} plot", GROUPS["plot"], words[1:]
+        if words and words[0] not in PLOTS and not words[0].startswith("-"):
+            if not (Path(words[0]) / "progress.csv").is_file():
+                raise UserError(f"{words[0]} is no picture ({', '.join(PLOTS)}) and holds no progress.csv")
+            words = ["run", *words]  # a run folder needs no kind
+    words = words or ["--help"]
+    command = found.get(words[0])
+    if command is None and not words[0].startswith("-"):
+        raise unknown_name("command", words[0], found)
     every = not {"-h", "--help"} & set(words)
     words = ["--help" if word == "--help-all" else word for word in words]
-    options = tyro.cli(union(COMMANDS, command, every), args=words, prog=PROGRAM, description=ABOUT)
-    return command, getattr(options, "kind", options)
+    return command, tyro.cli(union(found, command, every), args=words, prog=program, description=about)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -126,11 +114,11 @@ def main(argv: list[str] | None = None) -> int:
         print(f"{PROGRAM} {__version__}")
         return 0
     try:
-        command, options = parse(argv or ["--help"])
+        command, options = parse(argv)
         command.run(options)
         sys.stdout.flush()
     except SystemExit as done:  # tyro has printed the help, or what is wrong with a flag
-        return done.code if argv else 2
+        return (done.code or 0) if argv else 2
     except UserError as error:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 2

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -92,7 +93,7 @@ class Run:
         agility-ref plot run runs/full/leap/seed0 runs/full/leap/seed1
     """
 
-    runs: tyro.conf.Positional[tuple[Folder, ...]]
+    runs: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="RUN ...")]]
     """Run folders; each gets its learning_curve.png."""
 
 
@@ -116,7 +117,7 @@ class Curves:
         agility-ref plot curves agility_ref/weights/leap-full-seed*.npz --evaluate gap
     """
 
-    runs: tyro.conf.Positional[tuple[Folder, ...]]
+    runs: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="RUN ...")]]
     """Run folders, such as runs/full/leap/seed0, or shipped weights, such as
     agility_ref/weights/leap-full-seed0.npz; seeds of one policy are drawn together."""
     out: File = "curves.png"

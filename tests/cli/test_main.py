@@ -147,16 +147,15 @@ def test_no_command_prints_the_usage(capsys):
 
 def every_command():
     for name, entry in COMMANDS.items():
-        yield from [(f"{name} {kind}", plot) for kind, plot in entry.items()] if entry is PLOTS else [(name, entry)]
+        yield from [f"{name} {kind}" for kind in entry] if entry is PLOTS else [name]
 
 
-@pytest.mark.parametrize("name, command", every_command(), ids=lambda value: value if isinstance(value, str) else "")
-def test_help_has_at_most_a_dozen_flags_and_two_examples(capsys, name, command):
+@pytest.mark.parametrize("name", list(every_command()))
+def test_help_has_at_most_a_dozen_flags_and_two_examples(capsys, name):
     assert main([*name.split(), "--help"]) == 0
     out = capsys.readouterr().out
-    assert len(re.findall(r"^│ --", out, re.M)) <= 12 and "STR" not in out.replace("[STR [STR", "")
-    examples = re.findall(rf"^ +agility-ref {name}\b", out.replace("plot runs", "plot run runs"), re.M)
-    assert len(examples) == 2 or name == "list"
+    assert len(re.findall(r"^│ --", out, re.M)) <= 12 and not re.search(r"\bSTR\b", out)
+    assert len(re.findall(r"^ +agility-ref \w", out, re.M)) == 2 or name == "list"
 
 
 @pytest.mark.parametrize("name", ["train", "table1", "evaluate", "diagnose", "video"])

@@ -181,7 +181,7 @@ def weights(monkeypatch, tmp_path, finished_run):
     finished_run(tmp_path / "runs", "ps-rl-3-oracle", act_dim=3)
     original = evaluate.evaluation_env
     short = EnvConfig(episode_seconds=0.3)
-    monkeypatch.setattr(evaluate, "evaluation_env", lambda environment, config: original(environment, config, short))
+    monkeypatch.setattr(diagnosis, "evaluation_env", lambda environment, config: original(environment, config, short))
 
 
 @pytest.mark.parametrize("policy, skills", [("oracle", 5), ("ps-sl-5", 5), ("ps-rl-3", 3)])
