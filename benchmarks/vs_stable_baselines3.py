@@ -19,8 +19,7 @@ from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from pathlib import Path
 
-from agility_ref.env import ACTION_DIM
-from agility_ref.observation import ACTION_MIRROR, OBS_DIM, OBS_MIRROR, SCANDOTS
+from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOTS
 from agility_ref.ppo import Learner, PPOConfig, train
 from agility_ref.terrain import NUM_WAYPOINTS
 
@@ -94,11 +93,11 @@ def our_turns(race: Race, config: Config) -> Callable[[], None]:
 def their_turns(race: Race, config: Config) -> Callable[[], None]:
     """Return a function that trains Stable-Baselines3 for one turn."""
     sys.path.append(str(Path(__file__).parent.parent / "examples"))
+    from agility_ref.gym import Go1VectorEnv
+
     from sb3_ppo import Go1VecEnv, Progress
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecNormalize
-
-    from agility_ref.gym import Go1VectorEnv
 
     ppo = PPOConfig()
     envs = Go1VectorEnv("walk", ppo.num_envs, courses=1, autoreset_mode="SameStep")

@@ -16,14 +16,14 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
+from agility_ref.env import TRAINING
+from agility_ref.terrain import NUM_WAYPOINTS
+
 import gymnasium
 import numpy as np
 import torch
 import tyro
 from torch import nn
-
-from agility_ref.env import TRAINING
-from agility_ref.terrain import NUM_WAYPOINTS
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,14 @@ import time
 from collections import deque
 from dataclasses import dataclass, replace
 
+from agility_ref.env import TRAINING
+from agility_ref.terrain import NUM_WAYPOINTS
+
 import numpy as np
 import tyro
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.connectors.env_to_module import MeanStdFilter
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
-
-from agility_ref.env import TRAINING
-from agility_ref.terrain import NUM_WAYPOINTS
 
 
 @dataclass(frozen=True)

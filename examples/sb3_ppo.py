@@ -15,6 +15,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from agility_ref.env import TRAINING
+from agility_ref.terrain import NUM_WAYPOINTS
+
 import gymnasium
 import numpy as np
 import torch
@@ -22,9 +25,6 @@ import tyro
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
-
-from agility_ref.env import TRAINING
-from agility_ref.terrain import NUM_WAYPOINTS
 
 
 @dataclass(frozen=True)

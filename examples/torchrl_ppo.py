@@ -15,6 +15,9 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
+from agility_ref.env import TRAINING
+from agility_ref.terrain import NUM_WAYPOINTS
+
 import gymnasium
 import numpy as np
 import torch
@@ -28,9 +31,6 @@ from torchrl.envs.gym_like import BaseInfoDictReader
 from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
-
-from agility_ref.env import TRAINING
-from agility_ref.terrain import NUM_WAYPOINTS
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ import pytest
 
 pytest.importorskip("gymnasium", minversion="1.2")
 
-import gymnasium
-
 from agility_ref.env import EnvConfig
+
+import gymnasium
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 LIBRARIES = {"sb3_ppo": "stable_baselines3", "cleanrl_ppo": "torch", "torchrl_ppo": "torchrl", "rllib_ppo": "ray.rllib"}

@@ -14,9 +14,8 @@ from itertools import pairwise
 
 from agility_ref.errors import UserError
 from agility_ref.go1 import DOF_RANGE, FOOT_RADIUS, LEGS, TORQUE_LIMITS
-from agility_ref.pictures.plots import BLUE, ORANGE, RED, empty_figure, style
-from agility_ref.pictures.record import Episode
-from agility_ref.pictures.scene import LEG_COLOURS
+from agility_ref.pictures.plots import BLUE, LEG_COLOURS, ORANGE, RED, empty_figure, style
+from agility_ref.pictures.record import Episode, side_by_side
 from agility_ref.terrain import NUM_WAYPOINTS, Course
 from agility_ref.world import World
 
@@ -81,14 +80,6 @@ def foot_clearance(foot_pos: np.ndarray, course: Course) -> np.ndarray:
 # ---------------------------------------------------------------------------- episodes
 
 
-def _side_by_side(arrays: list[np.ndarray], length: int) -> np.ndarray:
-    """Pad arrays (T_n, ...) with zeros to (length, N, ...)."""
-    padded = np.zeros((length, len(arrays), *arrays[0].shape[1:]), arrays[0].dtype)
-    for n, array in enumerate(arrays):
-        padded[: len(array), n] = array
-    return padded
-
-
 def measure(episodes: list[Episode], settle: float = 2.0) -> Gait:
     """Measure the gait of episodes after ``settle`` seconds, the torques from the first step on.
 
@@ -101,9 +92,10 @@ def measure(episodes: list[Episode], settle: float = 2.0) -> Gait:
     counted = np.stack([(np.arange(length) >= first) & (np.arange(length) < len(e)) for e in episodes], axis=1)
     if not counted.any():
         raise ValueError(f"no episode lasts {settle} s")
-    contact = _side_by_side([e.foot_contact for e in episodes], length)
-    clearance = _side_by_side([foot_clearance(e.foot_pos, e.course) for e in episodes], length)
-    body = _side_by_side([e.body_contact.any(axis=1) for e in episodes], length)
+    contact, body = side_by_side(episodes, "foot_contact"), side_by_side(episodes, "body_contact").any(axis=2)
+    clearance = np.zeros(contact.shape)
+    for n, e in enumerate(episodes):
+        clearance[: len(e), n] = foot_clearance(e.foot_pos, e.course)
     peaks = swing_peaks(contact, clearance, counted)
     seconds = counted.sum() * episodes[0].dt
     return Gait(

@@ -17,6 +17,7 @@ import os
 import queue
 import sys
 import time
+import webbrowser
 from pathlib import Path
 
 from agility_ref.curriculum import find_preset
@@ -273,8 +274,9 @@ def serve(
     config: EvaluationConfig,
     port: int = 8080,
     seconds: float = np.inf,
+    browser: bool = False,
 ) -> None:
-    """Play in real time until interrupted, or for ``seconds`` of wall time.
+    """Play in real time until interrupted, or for ``seconds`` of wall time; open a ``browser`` where there is a display.
 
     Raises
     ------
@@ -287,7 +289,10 @@ def serve(
     wishes: queue.SimpleQueue = queue.SimpleQueue()
     status = add_controls(server, session, wishes)
     stage, course = Stage(server, session.course), session.course
-    print(f"watch at http://localhost:{server.get_port()} (this machine only; no password). Ctrl-C stops.", flush=True)
+    address = f"http://localhost:{server.get_port()}"
+    print(f"watch at {address} (this machine only; no password). Ctrl-C stops.", flush=True)
+    if browser and has_display():
+        webbrowser.open(address)
     dt, begin = session.env.config.dt, time.monotonic()
     tick, counted, steps = begin, begin, 0
     try:

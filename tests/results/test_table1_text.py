@@ -3,9 +3,20 @@ import math
 import re
 
 from agility_ref.evaluate import METRICS, EvaluationConfig
-from agility_ref.results import table_output
-from agility_ref.results.table1 import Row, Summary, paper_cells, table_rows
-from agility_ref.results.table_output import csv_line, format_value, latex, markdown, text, title, write_all
+from agility_ref.results.table1 import (
+    NOTES,
+    Row,
+    Summary,
+    csv_line,
+    format_value,
+    latex,
+    markdown,
+    paper_cells,
+    table_rows,
+    text,
+    title,
+    write_all,
+)
 
 import pytest
 
@@ -176,4 +187,4 @@ def test_write_all(ours, tmp_path):
 
 def test_every_note_is_used(rows):
     page = markdown(rows)
-    assert all(note in page for note in table_output.NOTES)
+    assert all(note in page for note in NOTES)
