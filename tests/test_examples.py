@@ -4,12 +4,12 @@ import importlib.util
 import sys
 from pathlib import Path
 
+from agility_ref.env import EnvConfig
+
 import numpy as np
 import pytest
 
 pytest.importorskip("gymnasium", minversion="1.2")
-
-from agility_ref.env import EnvConfig
 
 import gymnasium
 

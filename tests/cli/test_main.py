@@ -128,7 +128,8 @@ def test_a_checkpoint_of_another_shape(refuses, tmp_path, finished_run):
 def test_resuming_what_was_never_trained_here(refuses, tmp_path, finished_run):
     (finished_run(tmp_path, "walk") / "DONE").unlink()  # one hidden layer of 16 units
     (tmp_path / "walk" / "seed0" / "progress.csv").write_text("steps,wall_seconds\n")
-    refuses(f"train walk --out {tmp_path} --ppo.num-envs 2 --curriculum.num-levels 1 --steps 5000", "lacks the state")
+    command = f"train walk --out {tmp_path} --ppo.hidden 16 --ppo.num-envs 2 --curriculum.num-levels 1 --steps 5000"
+    refuses(command, "lacks the state")
 
 
 def test_resuming_under_another_preset(refuses, tmp_path, finished_run):
