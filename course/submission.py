@@ -53,8 +53,10 @@ def copy_submission(source: Path, target: Path) -> None:
     """
     target.mkdir()
     if source.is_dir():
-        _copy_folder(source, target)
-        return
+        try:
+            return _copy_folder(source, target)
+        except OSError as error:
+            raise Rejected(f"cannot be read ({error})") from None
     try:
         with zipfile.ZipFile(source) as archive:
             members = archive.infolist()
@@ -72,7 +74,7 @@ def copy_submission(source: Path, target: Path) -> None:
 def _copy_folder(source: Path, target: Path) -> None:
     files = total = 0
     for folder, folders, names in os.walk(source):
-        folders[:] = [name for name in folders if name not in (".git", ".venv", "__pycache__")]
+        folders[:] = [name for name in folders if name not in (".git", ".venv", "venv", "__pycache__")]
         here = target / Path(folder).relative_to(source)
         here.mkdir(exist_ok=True)
         for name in names:
@@ -87,7 +89,7 @@ def _copy_folder(source: Path, target: Path) -> None:
 
 
 def find_root(folder: Path, assignment: Assignment) -> Path:
-    """Return the folder of ``adapters.py`` in a copied submission, after a look at all its Python files.
+    """Return the folder of ``adapters.py`` in a copied submission, after a look at its Python files.
 
     Raises
     ------
@@ -103,7 +105,7 @@ def find_root(folder: Path, assignment: Assignment) -> Path:
     if len(entries) > 1 and len(entries[0].parts) == len(entries[1].parts):
         raise Rejected(f"{ENTRY} is there {len(entries)} times: hand in one folder")
     root = entries[0].parent
-    for path in sorted(root.rglob("*.py")):
+    for path in [entries[0], *sorted((root / assignment.name).rglob("*.py"))]:
         try:
             tree = ast.parse(path.read_bytes())
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:

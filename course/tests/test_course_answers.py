@@ -12,7 +12,7 @@ from course.release import release
 import mutants
 import pytest
 
-SEEDS = [5001, 5002]
+SEEDS = [5001]
 QUICK = "hw6"
 SLOW = [name if name == QUICK else pytest.param(name, marks=pytest.mark.slow) for name in NAMES]
 WRONG = [
