@@ -12,13 +12,13 @@ Out: poses, velocities, contacts and torques, as views of the simulator's memory
 
 import os
 
-import mujoco
-import numpy as np
-from mujoco import batch
-
 from agility_ref.errors import UserError
 from agility_ref.go1 import PhysicsConfig, make_model
 from agility_ref.terrain import Course
+
+import mujoco
+import numpy as np
+from mujoco import batch
 
 
 def default_threads() -> int:
@@ -93,7 +93,7 @@ class Simulation:
     home : (19,) qpos of the home pose
     qpos, qvel : (N, 19), (N, 18) trunk position, quaternion wxyz and joints; their velocities
     ctrl : (N, 12) joint targets [rad]
-    sensors : (N, 37), see :func:`~agility_ref.go1.make_xml`
+    sensors : (N, 37), see :meth:`columns`
     foot_pos : (N, 4, 3) centres of the feet [m]
     torque : (N, 12) [N m]
     errors : simulations that failed so far
@@ -133,11 +133,21 @@ class Simulation:
         self.torque = self.batch.bind("actuator_force")
         self.errors = 0
 
+    def columns(self, names: tuple[str, ...]) -> np.ndarray:
+        """Return where the named sensors of :func:`~agility_ref.go1.make_xml` stand in ``sensors``."""
+        found = [self.models[0].sensor(name) for name in names]
+        return np.concatenate([sensor.adr + np.arange(sensor.dim[0]) for sensor in found])
+
     def place(self, ids: np.ndarray, course: np.ndarray, qpos: np.ndarray) -> None:
         """Put robots ``ids`` at rest on courses (n,), indices of the models, in poses qpos (n, 19)."""
         self._placement.place(ids, course)
         self.batch.state[ids] = self._start  # no velocity, no warm start of the solver
         self.qpos[ids] = qpos
+
+    def load_state(self, course: np.ndarray, physics: np.ndarray) -> None:
+        """Put all robots on courses (N,) in states ``batch.state`` (N, k) of before."""
+        self._placement.place(np.arange(len(course)), course)
+        self.batch.state[:] = physics
 
     def step(self, num_steps: int) -> np.ndarray:
         """Run physics steps; return which robots' simulations failed, (N,) bool."""

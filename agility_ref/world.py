@@ -10,9 +10,9 @@ Out: a :class:`World` of stacked maps, one row a course.
 
 from functools import cached_property
 
-import numpy as np
-
 from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH, SKILLS, Course
+
+import numpy as np
 
 EDGE_MIN_DROP = 0.075  # [m] a box top that drops more than this has an edge there
 EDGE_DISTANCE = 0.05  # [m] a foot in contact within this distance of an edge violates it

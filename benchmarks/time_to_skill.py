@@ -13,9 +13,9 @@ from pathlib import Path
 
 from agility_ref.curriculum import find_preset
 from agility_ref.errors import UserError
+from agility_ref.files import write_csv
 from agility_ref.pictures.plots import BLUE, GREY, save_figure, style
 from agility_ref.training.policies import find_policy
-from agility_ref.training.progress import write_csv
 from agility_ref.training.runs import TrainConfig
 
 import numpy as np

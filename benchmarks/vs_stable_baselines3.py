@@ -114,10 +114,10 @@ def adapter(env: Go1Env, episodes: deque, seed: int) -> object:
             infos: list[dict] = [{} for _ in range(env.num_envs)]
             for i in np.flatnonzero(done):
                 infos[i] = {
-                    "terminal_observation": info["final_observation"][i],
+                    "terminal_observation": info["final_obs"][i],
                     "TimeLimit.truncated": bool(truncated[i]),
                 }
-                episodes.append(info["episode"]["waypoints"][i] / NUM_WAYPOINTS)
+                episodes.append(info["totals"]["waypoints"][i] / NUM_WAYPOINTS)
             return observation, reward, done, infos
 
         def close(self):

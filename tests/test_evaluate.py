@@ -319,7 +319,7 @@ def test_oracle_agrees_with_itself(five_skills):
 
 
 def test_skills_are_recorded_until_the_end(five_skills):
-    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3))
+    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3), np.arange(5))
     evaluation = evaluate(hierarchy, "gap", FEW, SHORT)
     assert evaluation.skill.shape == evaluation.oracle.shape
     np.testing.assert_array_equal((evaluation.skill == 3).sum(axis=0), evaluation.episode_length)
@@ -329,7 +329,7 @@ def test_skills_are_recorded_until_the_end(five_skills):
 
 
 def test_always_one_skill_evaluates_as_that_skill(five_skills):
-    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3))
+    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3), np.arange(5))
     a = arrays(evaluate(hierarchy, "gap", FEW, SHORT))
     b = arrays(evaluate(Single("leap", five_skills["leap"]), "gap", FEW, SHORT))
     for name in a:
@@ -337,7 +337,7 @@ def test_always_one_skill_evaluates_as_that_skill(five_skills):
 
 
 def test_choices_of_a_constant_selector(five_skills):
-    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3))
+    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3), np.arange(5))
     evaluation = evaluate(hierarchy, "gap", FEW, SHORT)
     choices = evaluation.choices()
     np.testing.assert_array_equal(choices["commonest_share"], 1.0)

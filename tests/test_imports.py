@@ -11,7 +11,9 @@ import agility_ref
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PROGRAMS = sorted(p for folder in ("tutorials", "benchmarks", "examples", "tests") for p in (ROOT / folder).rglob("*.py"))
+PROGRAMS = sorted(
+    p for folder in ("tutorials", "benchmarks", "examples", "tests") for p in (ROOT / folder).rglob("*.py")
+)
 HARMLESS = {*sys.stdlib_module_names, "pytest", *(p.stem for p in PROGRAMS)}  # which load no numpy by themselves
 
 

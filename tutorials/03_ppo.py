@@ -76,7 +76,7 @@ assert np.allclose(running[:, 0], [4.93872, 4.776, 3.3])
 #     delta_1 = 2 + 0.9 * 6 - 5 = 2.4          A_1 = 2.4              A_0 = 1.5 + 0.72 * 2.4 = 3.228
 #
 # A trap: after an automatic reset the next observation in the buffer is the *new* episode's
-# first.  V(s_t+1) has to come from the true last observation, `info["final_observation"]`.
+# first.  V(s_t+1) has to come from the true last observation, `info["final_obs"]`.
 
 # %%
 fell = gae(rewards, values, next_values, at_1, no, 0.9, 0.8)
@@ -273,7 +273,7 @@ while not done:
     if not done:  # after the last step the robot has been reset already
         path.append(env.base_pos[0])
 path = np.array(path)  # (T, 3) [m]
-reached, seconds = info["episode"]["waypoints"][0], info["episode"]["length"][0] * env.config.dt
+reached, seconds = info["totals"]["waypoints"][0], info["totals"]["length"][0] * env.config.dt
 
 figure, axes = new_figure(2, 1, (9.0, 4.2))
 top, bottom = axes[:, 0]

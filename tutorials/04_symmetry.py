@@ -21,6 +21,7 @@
 # them into the folder `figures/` of the directory you start it from.
 
 # %%
+import itertools
 import time
 
 from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
@@ -188,7 +189,7 @@ class Plain(nn.Module):
     def __init__(self):
         super().__init__()
         sizes = (inputs.shape[1], 64, 64, ACTION_DIM)
-        layers = [part for a, b in zip(sizes, sizes[1:], strict=False) for part in (nn.Linear(a, b), nn.ELU())]
+        layers = [part for a, b in itertools.pairwise(sizes) for part in (nn.Linear(a, b), nn.ELU())]
         self.layers = nn.Sequential(*layers[:-1])
 
     def forward(self, x):

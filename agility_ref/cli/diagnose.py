@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from agility_ref.errors import UserError
 from agility_ref.training.policies import ENVIRONMENTS, POLICIES, find_policy
+
+import tyro
 
 
 def diagnose(argv: list[str]) -> None:

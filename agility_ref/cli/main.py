@@ -1,4 +1,4 @@
-"""The command line: ``agility-ref train | evaluate | table1 | diagnose | plot | video | watch | list``.
+"""The command line: ``agility-ref train | evaluate | table1 | diagnose | plot | video | watch | export | list``.
 
 Every hyper-parameter is a flag, because every configuration is a frozen dataclass that
 tyro reads; the help text is the docstring of the field.  A mistake of the user prints one
@@ -6,18 +6,22 @@ line and exits with status 2.
 """
 
 import errno
+import io
 import json
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from agility_ref.cli.diagnose import diagnose
+from agility_ref.cli.export import Export, ExportMJCF, export, export_mjcf
 from agility_ref.cli.pictures import plot, video, watch
 from agility_ref.errors import UserError, unknown_name
+
+import tyro
 
 USAGE = """usage: agility-ref COMMAND [--help]
 
@@ -28,6 +32,8 @@ USAGE = """usage: agility-ref COMMAND [--help]
   plot KIND                          curves, strobe, oracle-map, episode, courses, skills, framework
   video POLICY --environment E       an episode as WebP, GIF or MP4
   watch POLICY --environment E       a live view in the browser
+  export POLICY                      as ONNX, TorchScript or plain arrays
+  export-mjcf --environment E        robot and course as one MJCF file
   list                               policies, environments, presets, weights
 """
 
@@ -93,8 +99,10 @@ def evaluate(argv: list[str]) -> None:
 def table1(argv: list[str]) -> None:
     """Compute Table 1, and what it says about the paper's findings."""
     from agility_ref.evaluate import EvaluationConfig, check_evaluation
+    from agility_ref.files import remove_partials
     from agility_ref.results import findings, table1, table_output
     from agility_ref.training.bank import WeightsConfig, existing
+    from agility_ref.training.lock import locked
     from agility_ref.training.policies import find_policy
 
     @dataclass(frozen=True)
@@ -146,18 +154,21 @@ def table1(argv: list[str]) -> None:
 
     clear = f"\r{'':70}\r"
     try:
-        cells, missing = table1.compute(config, training, results / "cells", seeds, on_play)
+        with locked(results):
+            remove_partials(results / "cells")
+            cells, missing = table1.compute(config, training, results / "cells", seeds, on_play)
+            print(clear, end="", file=sys.stderr)
+            if not cells:
+                raise UserError(f"not one cell to fill, {results} is left as it is: {missing[0]}")
+            rows = table1.table_rows(cells)
+            # Files first: a terminal may fail.
+            paths = table_output.write_all(rows, results, table_output.title(config, rows))
     except KeyboardInterrupt:
         print(clear, end="", file=sys.stderr)
         raise KeyboardInterrupt(f"interrupted; the same command goes on from {results / 'cells'}") from None
-    print(clear, end="", file=sys.stderr)
-    if not cells:
-        raise UserError(f"not one cell to fill, {results} is left as it is: {missing[0]}")
-    rows = table1.table_rows(cells)
     print(table_output.text(rows))
     for line in missing:
         print(f"missing: {line}")
-    paths = table_output.write_all(rows, results, table_output.title(config, rows))
     filled = [sum(row.ours is not None for row in rows if (row.paper is None) == extra) for extra in (False, True)]
     extra = sum(row.paper is None for row in rows)
     print(
@@ -201,11 +212,45 @@ def list_names(argv: list[str]) -> None:
 COMMANDS = {
     "train": train, "evaluate": evaluate, "table1": table1, "diagnose": diagnose, "plot": plot,
     "video": video, "watch": watch, "list": list_names,
+    "export": lambda argv: export(tyro.cli(Export, args=argv, prog="agility-ref export")),
+    "export-mjcf": lambda argv: export_mjcf(tyro.cli(ExportMJCF, args=argv, prog="agility-ref export-mjcf")),
 }  # fmt: skip
+
+
+RENDERING = ("video",)  # the commands that draw with OpenGL
+
+
+def prepare_streams() -> None:
+    """Make sure that a line to print never ends a command: to a closed stream, or of characters it does not know."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # closed by whoever started us; taking its number keeps it from the files that we open
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace" if stream.encoding.lower().startswith("utf") else "replace")
+
+
+@contextmanager
+def no_graphics(needed: bool) -> Iterator[None]:
+    """Keep MuJoCo, which reads MUJOCO_GL when it is imported, from loading a graphics library unless it is ``needed``.
+
+    The backend of matplotlib is fixed likewise: our figures need no window, and a notebook's is not installed here.
+    """
+    ours = {"MPLBACKEND": "agg"} | ({} if needed else {"MUJOCO_GL": "disable"})
+    before = {name: os.environ.get(name) for name in ours}
+    os.environ.update(ours)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; return the exit status."""
+    prepare_streams()
     argv = sys.argv[1:] if argv is None else argv
     if not argv or argv[0] in ("-h", "--help"):
         print(USAGE)
@@ -213,7 +258,8 @@ def main(argv: list[str] | None = None) -> int:
     try:
         if argv[0] not in COMMANDS:
             raise unknown_name("command", argv[0], COMMANDS)
-        COMMANDS[argv[0]](argv[1:])
+        with no_graphics(needed=argv[0] in RENDERING):
+            COMMANDS[argv[0]](argv[1:])
         sys.stdout.flush()
     except UserError as error:
         print(f"agility-ref: {error}", file=sys.stderr)

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from agility_ref.errors import UserError
+
+import tyro
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,6 @@ Out: a :class:`Gait`, one number per foot; for one episode a figure of gait, pro
 from dataclasses import dataclass
 from itertools import pairwise
 
-import numpy as np
-
 from agility_ref.errors import UserError
 from agility_ref.go1 import DOF_RANGE, FOOT_RADIUS, LEGS, TORQUE_LIMITS
 from agility_ref.pictures.plots import BLUE, ORANGE, RED, empty_figure, style
@@ -21,6 +19,8 @@ from agility_ref.pictures.record import Episode
 from agility_ref.pictures.scene import LEG_COLOURS
 from agility_ref.terrain import NUM_WAYPOINTS, Course
 from agility_ref.world import World
+
+import numpy as np
 
 
 @dataclass(frozen=True)

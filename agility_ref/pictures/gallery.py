@@ -4,8 +4,6 @@ In:  nothing (courses, framework), or one recorded episode a skill (skills).
 Out: matplotlib figures.
 """
 
-import numpy as np
-
 from agility_ref.go1 import STAND_HEIGHT
 from agility_ref.pictures.pictures import X, draw_ground, ground_along
 from agility_ref.pictures.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, empty_figure, skill_colour, style
@@ -26,6 +24,8 @@ from agility_ref.terrain import (
     step_height,
 )
 from agility_ref.world import height_map
+
+import numpy as np
 
 SHOWN = (1.7, 5.7)  # [m] stretch of every course in the gallery
 VIEW = {  # kind: lowest and highest coordinate shown [m]; y for beam, which is seen from above; others see EVERYTHING

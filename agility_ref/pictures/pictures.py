@@ -7,8 +7,6 @@ In:  :class:`~agility_ref.pictures.record.Episode` objects.  Out: matplotlib fig
 
 from itertools import pairwise
 
-import numpy as np
-
 from agility_ref.errors import UserError
 from agility_ref.go1 import FOOT_RADIUS, LEGS
 from agility_ref.pictures.plots import PURPLE, RED, SKILL_COLOURS, empty_figure, new_figure, skill_colour, style
@@ -16,6 +14,8 @@ from agility_ref.pictures.record import Episode
 from agility_ref.pictures.scene import LEG_COLOURS, SIDE, Robot, find_edges, waypoint_heights
 from agility_ref.terrain import CELL, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, Course
 from agility_ref.world import EDGE_MIN_DROP, height_map, region_map
+
+import numpy as np
 
 VIOLATION, ROBOT = RED, PURPLE
 ROW_LENGTH = 5.0  # [m] of course in one row of a strobe picture

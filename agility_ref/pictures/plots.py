@@ -7,13 +7,16 @@ matplotlib is imported when a figure is drawn, never at import.
 
 import os
 import sys
+import warnings
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
-import numpy as np
-
+from agility_ref.files import replacing
 from agility_ref.stats import bootstrap_interval, iqm
 from agility_ref.training.progress import read_progress
+
+import numpy as np
 
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"  # Okabe and Ito
 SKY, GREY = "#56B4E9", "#8A8A8A"
@@ -50,15 +53,34 @@ def skill_colour(name: str) -> str:
     return SKILL_COLOURS.get(name, GREY)
 
 
-def style():
-    """Return a context in which matplotlib follows STYLE."""
-    import matplotlib
+def import_matplotlib():
+    """Return matplotlib, also where MPLBACKEND names a backend that is not installed, as a notebook's is here."""
+    if "matplotlib" in sys.modules or "MPLBACKEND" not in os.environ:
+        import matplotlib
 
-    return matplotlib.rc_context(STYLE)
+        return matplotlib
+    wanted = os.environ.pop("MPLBACKEND")
+    try:
+        import matplotlib
+    finally:
+        os.environ["MPLBACKEND"] = wanted
+    with suppress(ValueError):  # our figures use Agg; the caller's own keep the backend that was asked for
+        matplotlib.rcParams["backend"] = wanted
+    return matplotlib
+
+
+def style():
+    """Return a context in which matplotlib follows its defaults and STYLE, whatever a user's matplotlibrc asks for."""
+    matplotlib = import_matplotlib()
+    defaults = {key: value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith("backend")}
+    with warnings.catch_warnings():  # a default may be of a setting that is going away
+        warnings.simplefilter("ignore")
+        return matplotlib.rc_context(defaults | STYLE)
 
 
 def empty_figure(size: tuple[float, float]):
     """Return a figure of this size [inch] without axes and without touching any display."""
+    import_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -74,48 +96,29 @@ def new_figure(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
-def show(figure, name: str) -> None:
-    """Show a figure of a tutorial: below the cell in a notebook, else as the file ``figures/<name>.png``."""
-    if "ipykernel" in sys.modules:
-        from io import BytesIO
-
-        from IPython.display import Image, display
-
-        png = BytesIO()
-        figure.savefig(png, format="png", dpi=110)
-        display(Image(data=png.getvalue()))
-        return
-    path = Path("figures", f"{name}.png").resolve()
-    path.parent.mkdir(exist_ok=True)
-    figure.savefig(path, dpi=110)
-    print("figure:", path)
-
-
 def save_figure(figure, out: Path, command: str) -> list[Path]:
     """Write ``out`` as PNG and as SVG, with the command and the versions in the metadata."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from PIL import PngImagePlugin
 
+    command = command.encode(errors="replace").decode()  # a folder's name need not be text
     made = {"Software": made_with(), "Description": command}
     out = Path(out)
     out.parent.mkdir(parents=True, exist_ok=True)
     paths = [out.with_suffix(".png"), out.with_suffix(".svg")]
-    partials = [path.with_name(path.name + ".partial") for path in paths]
-    with style():  # each canvas draws once, where Figure.savefig would draw twice
-        figure.set_dpi(STYLE["savefig.dpi"])
+    with style(), replacing(paths[0]) as png, replacing(paths[1]) as svg:
+        figure.set_dpi(STYLE["savefig.dpi"])  # each canvas draws once, where Figure.savefig would draw twice
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
         pixels = np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
         figure.set_layout_engine("none")  # the PNG's layout is the SVG's
         tags = {"Creator": made["Software"], "Description": command, "Date": None}
-        FigureCanvasSVG(figure).print_svg(partials[1], metadata=tags)
-    info = PngImagePlugin.PngInfo()
-    for key, text in made.items():
-        info.add_itxt(key, text)
-    paletted(pixels).save(partials[0], format="PNG", pnginfo=info, optimize=True)
-    for partial, path in zip(partials, paths, strict=True):
-        os.replace(partial, path)
+        FigureCanvasSVG(figure).print_svg(svg, metadata=tags)
+        info = PngImagePlugin.PngInfo()
+        for key, text in made.items():
+            info.add_itxt(key, text)
+        paletted(pixels).save(png, format="PNG", pnginfo=info, optimize=True)
     return paths
 
 
@@ -321,3 +324,20 @@ def table_figure(rows: list, out: Path, title: str) -> None:
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
         figure.suptitle(title, x=0.01, ha="left")
     save_figure(figure, out, f"agility-ref table1 ({title})")
+
+
+def show(figure, name: str) -> None:
+    """Show a figure of a tutorial: below the cell in a notebook, else as the file ``figures/<name>.png``."""
+    if "ipykernel" in sys.modules:
+        from io import BytesIO
+
+        from IPython.display import Image, display
+
+        png = BytesIO()
+        figure.savefig(png, format="png", dpi=110)
+        display(Image(data=png.getvalue()))
+        return
+    path = Path("figures", f"{name}.png").resolve()
+    path.parent.mkdir(exist_ok=True)
+    figure.savefig(path, dpi=110)
+    print("figure:", path)

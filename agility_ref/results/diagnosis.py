@@ -13,14 +13,14 @@ A wrong choice is one that is not the oracle's, which need not be one that fails
 regret says what it cost.
 """
 
-import numpy as np
-
 from agility_ref.evaluate import oracle_accuracy, switches_per_second
 from agility_ref.pictures.plots import SKILL_COLOURS, empty_figure, new_figure, skill_colour, style
 from agility_ref.pictures.record import Trace
 from agility_ref.stats import bootstrap_interval, paired_difference
 from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH, SKILLS
 from agility_ref.world import LEAD, height_map, region_map
+
+import numpy as np
 
 LEAP_BEGUN, LEAP_OVER = 0.1, 0.4  # [s] a leap that acts for less is a flicker; ... for more, may be over
 STEP_REACH = 0.6  # [m] "before an up-step": within a robot's length

@@ -1,47 +1,101 @@
-"""Findings: what the paper's abstract, its sections 4.2 and 4.3 and its Table 1 say, asked of our cells.
+"""Findings: what the paper claims, as one table of comparisons, asked of our figures.
 
-One function per claim.  Unless the claim names another quantity, the measure is the waypoint
-fraction: rewards depend on weights that differ from the paper's, and a long episode is
-neither good nor bad in itself.  There is one rule for every claim.  A claim is made of
-comparisons, each put so that the claimed side is positive:
+A claim is made of comparisons, each put so that the claimed side is positive.  There is one rule:
 
     reproduced       the 95 % interval of the difference lies entirely above 0
     not reproduced   it lies entirely below 0
     undecided        it covers 0
     not measured     there is nothing to compare
 
-A claim that says "and" is reproduced if all its comparisons are, and not reproduced if one
-of them is not; a claim that says "or" the other way round.  Intervals are 95 % each, without
+A claim that says "and" is reproduced if all its comparisons are, and not reproduced if one of
+them is not; a claim that says "or" the other way round.  Intervals are 95 % each, without
 correction for their number.
 
 In:  the cells of the table, the learning curves behind the weights, a file of ablations.
-Out: :class:`Comparison` and :class:`Finding`, and both as text.
+Out: one :class:`Finding` per row of ``CLAIMS``, and all of them as text.
 """
 
-import csv
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
 from itertools import product
-from math import isnan, nan
+from math import isfinite, isnan, nan
 from pathlib import Path
 from statistics import mode
 
-import numpy as np
-
 from agility_ref.errors import UserError
+from agility_ref.files import read_csv, write_text
 from agility_ref.results.cells import Cells, seeds_of, stack
 from agility_ref.results.table1 import ENVIRONMENT_LABELS, PAPER_LABELS, paper_cells
 from agility_ref.stats import paired_difference, t_interval
 from agility_ref.training import weights
 from agility_ref.training.bank import WeightsConfig, run_folder
 from agility_ref.training.policies import ALIASES, ENVIRONMENTS, find_policy
-from agility_ref.training.progress import read_progress, write_text
+from agility_ref.training.progress import read_progress
+
+import numpy as np
 
 REPRODUCED, NOT_REPRODUCED = "reproduced", "not reproduced"
 UNDECIDED, NOT_MEASURED = "undecided", "not measured"
 ONE_SEED = "the intervals cover the episodes alone.  Another training could turn any of them round."
 MIN_SEEDS = 3  # an interval over training seeds alone needs this many
 MIN_EPISODES = 10  # ... and one over episodes this many
+
+FLICKER = 2.0  # a selector flickers if it switches more than this many times as often as the oracle would
+COLLAPSE = 0.95  # ... and has collapsed if one skill acts for more than this share of an episode
+EARLY = 0.25  # "early" is at this share of the shortest specialist's training after the warm start
+ABLATION_COLUMNS = ("ablation", "policy", "seed", "steps", "waypoint_fraction")
+
+# The specialists that a generalist replaces.  Without walk, from which all of these start.
+REPLACED = {"gen-3": ("climb", "leap"), "gen-5": ("climb-up", "climb-down", "leap", "beam")}
+
+# ---------------------------------------------------------------------------- the table of comparisons
+
+
+@dataclass(frozen=True)
+class Row:
+    """One comparison: the figure of policy ``a`` on terrain ``here`` minus that of ``b`` on ``there``.
+
+    ``metric`` is one of the table's, "flicker", "collapse", "early level", "final level" or "ablation".  With a
+    ``margin`` the claim is that the difference lies within +- this, and else that it is above 0.
+    """
+
+    a: str
+    b: str
+    here: str = ""
+    there: str = ""
+    metric: str = "waypoint_fraction"
+    margin: float | None = None
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A sentence of the paper, where it stands, how it is measured here, and the comparisons that decide about it."""
+
+    text: str
+    section: str
+    measure: str
+    rows: tuple[Row, ...] = ()
+    any_of: bool = False
+    """The claim says "or"."""
+
+
+def _rows(a: list[str], b: list[str] | None = None, on: Sequence[str] = ("",), minus: str = "", **more) -> list[Row]:
+    """Write out one row of claims.toml; what its entries mean stands at its top."""
+    return [Row(x, y, here, minus or here, **more) for here in on for x in a for y in b or [x]]
+
+
+def _read_claims() -> dict[str, Claim]:
+    entries = tomllib.loads((resources.files("agility_ref.results") / "claims.toml").read_text(encoding="utf-8"))
+    for entry in entries.values():
+        entry["rows"] = tuple(row for packed in entry["rows"] for row in _rows(**packed))
+    return {name: Claim(**entry) for name, entry in entries.items()}
+
+
+CLAIMS = _read_claims()
+
+# ---------------------------------------------------------------------------- the rule
 
 
 @dataclass(frozen=True)
@@ -59,17 +113,15 @@ class Comparison:
     paper: float = nan
     """The same difference of the paper's means; NaN where it prints none."""
     margin: float | None = None
-    """The claim is that the difference lies within +- this; None for above 0."""
+    """As in :class:`Row`."""
 
     @property
     def verdict(self) -> str:
         """Apply the rule."""
         if self.seeds == 0:
             return NOT_MEASURED
-        if isnan(self.low):
-            return UNDECIDED
         if self.margin is None:
-            inside, outside = self.low > 0, self.high < 0
+            inside, outside = self.low > 0, self.high < 0  # both false without an interval
         else:
             inside = -self.margin < self.low and self.high < self.margin
             outside = self.low > self.margin or self.high < -self.margin
@@ -87,37 +139,24 @@ class Comparison:
 class Finding:
     """One claim of the paper and what our figures say about it."""
 
-    claim: str
-    section: str
-    """Where the paper makes it."""
-    measure: str
-    """How it is measured here."""
-    comparisons: tuple[Comparison, ...] = field(default_factory=tuple)
-    any_of: bool = False
-    """The claim says "or"."""
+    claim: Claim
+    comparisons: tuple[Comparison, ...]
 
     @property
     def verdict(self) -> str:
         """Combine the verdicts of the comparisons."""
         found = [comparison.verdict for comparison in self.comparisons]
         # "or": one that is reproduced suffices; "and": one that is not reproduced is too many.
-        suffices, needs_all = (REPRODUCED, NOT_REPRODUCED) if self.any_of else (NOT_REPRODUCED, REPRODUCED)
+        suffices, needs_all = (REPRODUCED, NOT_REPRODUCED) if self.claim.any_of else (NOT_REPRODUCED, REPRODUCED)
         if suffices in found:
             return suffices
         if found and all(verdict == needs_all for verdict in found):
             return needs_all
-        if all(verdict == NOT_MEASURED for verdict in found):
-            return NOT_MEASURED
-        return UNDECIDED
+        return NOT_MEASURED if all(verdict == NOT_MEASURED for verdict in found) else UNDECIDED
 
 
-def paired(
-    text: str, a: np.ndarray | None, b: np.ndarray | float = 0.0, paper: float = nan, margin: float | None = None
-) -> Comparison:
-    """Compare scores a and b (S, E) that played the same episodes; a is None where there are none."""
-    if a is None or b is None:
-        return Comparison(text, paper=paper, margin=margin)
-    a = np.atleast_2d(a)
+def paired(text: str, a: np.ndarray, b: np.ndarray | float, paper: float = nan, margin: float | None = None):
+    """Compare scores a and b (S, E) that played the same episodes."""
     difference, low, high = paired_difference(a, np.broadcast_to(b, a.shape))
     if a.shape[1] < MIN_EPISODES:
         low = high = nan
@@ -125,72 +164,20 @@ def paired(
 
 
 def over_seeds(text: str, differences: np.ndarray) -> Comparison:
-    """Judge one difference a training seed, (S,), or (S, P) of which the mean over P counts.
+    """Judge one difference per training seed, (S,), or (S, P) of which the mean over P counts.
 
     The interval is Student's; without MIN_SEEDS seeds there is none.
     """
     differences = np.asarray(differences, float)
     if not differences.size:
         return Comparison(text)
-    if len(differences) < MIN_SEEDS:
-        few = f"{text}, {len(differences)} of {MIN_SEEDS} seeds"
-        return Comparison(few, float(differences.mean()), seeds=len(differences))
     means = differences.reshape(len(differences), -1).mean(axis=1)
+    if len(means) < MIN_SEEDS:
+        return Comparison(f"{text}, {len(means)} of {MIN_SEEDS} seeds", float(means.mean()), seeds=len(means))
     return Comparison(text, float(means.mean()), *t_interval(means), seeds=len(means))
 
 
-# ---------------------------------------------------------------------------- as text
-
-
-def text(findings: Iterable[Finding]) -> str:
-    """Return the findings for a terminal, each with its comparisons."""
-    findings = list(findings)
-    width = max((len(c.text) for f in findings for c in f.comparisons), default=0)
-    lines = []
-    for finding in findings:
-        lines += ["", f"{finding.verdict.upper()}: {finding.claim} ({finding.section})"]
-        for c in finding.comparisons:
-            paper = "" if isnan(c.paper) else f"paper {c.paper:+.2f}"
-            lines.append(f"    {c.text:{width}}  {c!s:24} {c.verdict:15} {c.seeds:2} seeds  {paper}".rstrip())
-    if usual_seeds(findings) == 1:
-        lines += ["", f"One training seed: {ONE_SEED}"]
-    return "\n".join(lines[1:])
-
-
-def usual_seeds(findings: list[Finding]) -> int:
-    """Return the number of training seeds behind most comparisons, those not measured apart."""
-    return mode([c.seeds for f in findings for c in f.comparisons if c.seeds] or [0])
-
-
-def markdown(findings: Iterable[Finding], caption: str) -> str:
-    """Return the findings as a page: the rule, a list of verdicts, every comparison."""
-    findings = list(findings)
-    parts = [
-        f"# Findings of the paper: {caption}",
-        "",
-        "A difference is **reproduced** if its 95 % interval lies entirely on the side that the paper claims, **not "
-        "reproduced** if it lies entirely on the other, **undecided** if it covers 0.  A claim that says *and* needs all its "
-        "comparisons and falls with one; a claim that says *or* needs one and falls with all.  Differences are paired episode "
-        "by episode, intervals are bootstrapped over training seeds and episodes (Student's where there is one number a "
-        "seed), 95 % each without correction for their number; with fewer than ten seeds the bootstrapped ones are too "
-        "short (`agility_ref/stats.py`).  *Seeds* are training seeds; one seed says nothing about another.  *Paper* is the same difference of the means that the paper prints, without an interval.",
-        "",
-    ]
-    if usual_seeds(findings) == 1:
-        parts += [f"**One training seed**: {ONE_SEED}", ""]
-    parts += ["| verdict | claim | section |", "|---|---|---|"]
-    parts += [f"| {f.verdict} | {f.claim} | {f.section} |" for f in findings]
-    for f in findings:
-        parts += ["", f"## {f.claim}", "", f"{f.section}.  {f.measure}  **{f.verdict.capitalize()}.**", ""]
-        parts += ["| comparison | ours | seeds | verdict | paper |", "|---|---|---|---|---|"]
-        parts += [
-            f"| {c.text} | {c} | {c.seeds} | {c.verdict} | {'-' if isnan(c.paper) else f'{c.paper:+.2f}'} |"
-            for c in f.comparisons
-        ]
-    return "\n".join(parts) + "\n"
-
-
-ABLATION_COLUMNS = ("ablation", "policy", "seed", "steps", "waypoint_fraction")
+# ---------------------------------------------------------------------------- the evidence
 
 
 @dataclass(frozen=True)
@@ -203,32 +190,85 @@ class Evidence:
     ablations: list[dict]
     """Rows of ABLATION_COLUMNS; empty where none were measured."""
 
-    def scores(self, policy: str, environment: str, metric: str, seeds: list[int]) -> np.ndarray | None:
-        """(S, E) of one policy on one terrain; None without seeds."""
-        return stack(self.cells, policy, environment, metric, seeds) if seeds else None
+    def judge(self, claim: Claim) -> Finding:
+        """Measure every row of a claim."""
+        return Finding(claim, tuple(found for row in claim.rows for found in self.measure(row)))
 
-    def compare(
-        self,
-        a: tuple[str, str],
-        b: tuple[str, str],
-        metric: str = "waypoint_fraction",
-        margin: float | None = None,
-    ) -> Comparison:
-        """Compare two (policy, environment), a - b, over the training seeds that both have.
+    def measure(self, row: Row) -> list[Comparison]:
+        """Measure one row of the table; an ablation of several lengths gives several comparisons."""
+        if row.metric == "ablation":
+            names = sorted({r["ablation"] for r in self.ablations if r["ablation"].startswith(row.b)})
+            return [self._ablation(row.a, name) for name in names or [row.b]]
+        if row.metric.endswith("level"):
+            sign = 1 if row.metric == "early level" else -1
+            return [over_seeds(f"{row.a}: {row.metric}", sign * self._levels(row.a, row.metric == "final level"))]
+        if row.metric in ("flicker", "collapse"):
+            return [self._choice(row)]
+        return [self._scores(row)]
+
+    def _choice(self, row: Row) -> Comparison:
+        """How far a selector is from the threshold of flicker or collapse, positive beyond it."""
+        seeds = seeds_of(self.cells, row.a, row.here)
+        flicker = row.metric == "flicker"
+        what = f"switches/s - {FLICKER:g} x wanted" if flicker else f"share of one skill - {COLLAPSE:g} or wanted"
+        if not seeds:
+            return Comparison(f"{row.a}: {what}")
+        figure = "switches_per_second" if flicker else "commonest_share"
+        own, wanted = (stack(self.cells, row.a, row.here, name, seeds) for name in (figure, f"wanted_{figure}"))
+        return paired(f"{row.a}: {what}", own, FLICKER * wanted if flicker else np.maximum(COLLAPSE, wanted))
+
+    def _scores(self, row: Row) -> Comparison:
+        """Compare two policies on a terrain, or one on two, over the training seeds that both have.
 
         On one terrain the episodes are paired as played; on two, the easiest course of one with the
         easiest of the other, and so on up.
         """
-        same_place = a[1] == b[1]
-        text = f"{a[0]} - {b[0]} on {a[1]}" if same_place else f"{a[0]} on {a[1]} - on {b[1]}"
-        seeds = sorted(set(seeds_of(self.cells, *a)) & set(seeds_of(self.cells, *b)))
-        scores = [self.scores(*side, metric, seeds) for side in (a, b)]
-        if seeds and not same_place:
-            for k, side in enumerate((a, b)):
-                order = np.argsort(self.scores(*side, "difficulty", seeds[:1])[0])  # all seeds play the same courses
-                scores[k] = scores[k][:, order]
-        paper = paper_mean(*a, metric) - paper_mean(*b, metric)
-        return paired(text, *scores, paper=paper, margin=margin)
+        text = (
+            f"{row.a} - {row.b} on {row.here}" if row.here == row.there else f"{row.a} on {row.here} - on {row.there}"
+        )
+        sides = ((row.a, row.here), (row.b, row.there))
+        seeds = sorted(set(seeds_of(self.cells, *sides[0])) & set(seeds_of(self.cells, *sides[1])))
+        paper = paper_mean(*sides[0], row.metric) - paper_mean(*sides[1], row.metric)
+        if not seeds:
+            return Comparison(text, paper=paper, margin=row.margin)
+        scores = [stack(self.cells, *side, row.metric, seeds) for side in sides]
+        if row.here != row.there:  # all seeds play the same courses
+            orders = [np.argsort(stack(self.cells, *side, "difficulty", seeds[:1])[0]) for side in sides]
+            scores = [score[:, order] for score, order in zip(scores, orders, strict=True)]
+        return paired(text, *scores, paper=paper, margin=row.margin)
+
+    def _levels(self, generalist: str, late: bool) -> np.ndarray:
+        """Level of the generalist minus the mean level of the specialists that it replaces, (S,).
+
+        The generalist's is that on the courses of those specialists.  Early: all after the same
+        number of steps, warm start included.  Late: each at its end.
+        """
+        names, found = (generalist, *REPLACED[generalist]), []
+        for seed in sorted({seed for _, seed in self.curves}):
+            kinds = [f"level_{find_policy(name).courses[0]}" for name in names[1:]]
+            if not all((name, seed) in self.curves for name in names):
+                continue
+            own, *curves = (self.curves[name, seed] for name in names)
+            if not all(kind in own for kind in kinds):
+                continue
+            start, end = max(c["steps"][0] for c in (own, *curves)), min(c["steps"][-1] for c in curves)
+            at = start + EARLY * (end - start)
+            pairs = [((own["steps"], own[k]), (c["steps"], c["level"])) for k, c in zip(kinds, curves, strict=True)]
+            levels = [[level[-1] if late else np.interp(at, steps, level) for steps, level in pair] for pair in pairs]
+            found.append(np.mean([ours - theirs for ours, theirs in levels]))
+        return np.array(found)
+
+    def _ablation(self, baseline: str, name: str) -> Comparison:
+        """Compare the baseline with one ablation, per seed and policy, each at the end of its training."""
+        last: dict[tuple[str, str, int], tuple[int, float]] = {}
+        for row in self.ablations:
+            key = (row["ablation"], row["policy"], row["seed"])
+            last[key] = max(last.get(key, (-1, nan)), (row["steps"], row["waypoint_fraction"]))
+        both = {(p, s) for a, p, s in last if a == name and (baseline, p, s) in last}
+        policies = sorted({p for p, _ in both})
+        seeds = sorted(s for s in {s for _, s in both} if all((p, s) in both for p in policies))
+        differences = [[last[baseline, p, s][1] - last[name, p, s][1] for p in policies] for s in seeds]
+        return over_seeds(f"{baseline} - {name}" + (f" ({', '.join(policies)})" if policies else ""), differences)
 
 
 def paper_mean(policy: str, environment: str, metric: str) -> float:
@@ -250,18 +290,14 @@ def read_ablations(path: Path) -> list[dict]:
     """
     if not Path(path).is_file():
         return []
+    kinds = dict(zip(ABLATION_COLUMNS, (str, str, int, lambda steps: int(float(steps)), float), strict=True))
     try:
-        with open(path, newline="") as file:
-            rows = list(csv.DictReader(file))
-        return [
-            {
-                "ablation": row["ablation"], "policy": row["policy"], "seed": int(row["seed"]),
-                "steps": int(float(row["steps"])), "waypoint_fraction": float(row["waypoint_fraction"]),
-            }
-            for row in rows
-        ]  # fmt: skip
-    except (KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{path} does not hold {','.join(ABLATION_COLUMNS)}: {error!r}") from None
+        rows = [{name: kind(row[name]) for name, kind in kinds.items()} for row in read_csv(path, ABLATION_COLUMNS)]
+        if not all(isfinite(row["waypoint_fraction"]) for row in rows):
+            raise ValueError("a waypoint fraction that is not finite")
+    except (ValueError, OverflowError) as error:
+        raise UserError(f"{path} does not hold {','.join(ABLATION_COLUMNS)}: {error}") from None
+    return rows
 
 
 def training_curve(policy: str, training: WeightsConfig) -> dict[str, np.ndarray] | None:
@@ -275,256 +311,81 @@ def training_curve(policy: str, training: WeightsConfig) -> dict[str, np.ndarray
     return curve if len(curve.get("level", ())) else None
 
 
-def gather(cells: Cells, training: WeightsConfig, ablations: Path, policies: Iterable[str]) -> Evidence:
-    """Collect the evidence.
+def gather(cells: Cells, training: WeightsConfig, ablations: Path) -> Evidence:
+    """Collect the evidence: complete episodes, learning curves of the same seeds, and ablations.
 
     Parameters
     ----------
     cells : of :func:`agility_ref.results.table1.compute`, protocol complete
     training : where the weights are; its seed is not used
     ablations : file of ablations; need not exist
-    policies : whose learning curves are wanted
     """
-    curves = {}
-    for policy, seed in product(policies, {seed for _, _, seed in cells}):
-        curve = training_curve(policy, replace(training, seed=seed))
-        if curve is not None:
-            curves[policy, seed] = curve
-    return Evidence(cells, curves, read_ablations(ablations))
-
-
-SELECTORS, GENERALISTS = ("oracle", "ps-sl-5"), ("gen-3", "gen-5")
-FLICKER = 2.0  # a selector flickers if it switches more than this many times as often as the oracle would
-COLLAPSE = 0.95  # ... and has collapsed if one skill acts for more than this share of an episode
-EQUAL = 0.1  # terrains are equally hard if the waypoint fraction differs by less than this
-EARLY = 0.25  # "early" is at this share of the shortest specialist's training after the warm start
-
-# The specialists that a generalist replaces.  Without walk, from which all of these start.
-REPLACED = {"gen-3": ("climb", "leap"), "gen-5": ("climb-up", "climb-down", "leap", "beam")}
-# The specialist of each terrain, and the oracle's other skills.
-OWN = {"gap": "leap", "beam": "beam", "climb": "climb"}
-FOREIGN = {
-    "gap": ("climb-up", "climb-down", "beam", "walk"),
-    "beam": ("climb-up", "climb-down", "leap", "walk"),
-    "climb": ("climb-up", "climb-down", "leap", "beam", "walk"),
-}
-BASELINE, NO_CURRICULUM, ACTION_STACKING = "baseline", "no-curriculum", "action-repeat"
-SEEN = "The learned selectors have trained on Climb+Gap courses, their skills and the generalists on climbing and leaping apart."
-
-
-# ---------------------------------------------------------------------------- section 4.3, selectors and generalists
-
-
-def selectors_win_where_one_skill_is_asked_for(e: Evidence) -> Finding:
-    """Judge "outperform the generalists in skill-specific environments (Gap, Beam, Climb)"."""
-    return Finding(
-        "Oracle and PS-SL-5 outperform the generalists on Gap, Beam and Climb.", "section 4.3",
-        "Waypoint fraction of each selector minus that of each generalist.",
-        tuple(e.compare((s, t), (g, t)) for t, s, g in product(("gap", "beam", "climb"), SELECTORS, GENERALISTS)),
-    )  # fmt: skip
-
-
-def generalists_win_on_climb_gap(e: Evidence) -> Finding:
-    """Judge "the generalist outperforms in more difficult and dynamic terrains (Climb+Gap)"."""
-    return Finding(
-        "The generalists outperform Oracle and PS-SL-5 on Climb+Gap.", "section 4.3",
-        f"Waypoint fraction of each generalist minus that of each selector.  {SEEN}",
-        tuple(e.compare((g, "climb-gap"), (s, "climb-gap")) for g, s in product(GENERALISTS, SELECTORS)),
-    )  # fmt: skip
-
-
-def generalists_win_reward_on_climb_gap(e: Evidence) -> Finding:
-    """The same in reward, the column of Table 1 that bears the paper's sentence out."""
-    return Finding(
-        "The generalists earn more reward than Oracle and PS-SL-5 on Climb+Gap.", "section 4.3 and Table 1",
-        "Reward of an episode; the weights of its terms are not the paper's.",
-        tuple(e.compare((g, "climb-gap"), (s, "climb-gap"), "reward") for g, s in product(GENERALISTS, SELECTORS)),
-    )  # fmt: skip
-
-
-def rl_selector_wins_waypoints_on_climb_gap(e: Evidence) -> Finding:
-    """Judge "the RL+PPO-based Selector outperforms the generalist in reaching waypoints in the hardest terrain"."""
-    return Finding(
-        "PS-RL-3 reaches more waypoints than PS-SL-5 and the generalists on Climb+Gap.", "section 4.3 and Table 1",
-        f"Waypoint fraction of PS-RL-3 minus that of each of the others.  {SEEN}",
-        tuple(e.compare(("ps-rl-3", "climb-gap"), (p, "climb-gap")) for p in ("ps-sl-5", *GENERALISTS)),
-    )  # fmt: skip
-
-
-def _flickers_or_collapses(e: Evidence, policy: str, reward: str) -> Finding:
-    seeds = seeds_of(e.cells, policy, "climb-gap")
-    names = ("switches_per_second", "wanted_switches_per_second", "commonest_share", "wanted_commonest_share")
-    switches, wanted, share, wanted_share = (e.scores(policy, "climb-gap", name, seeds) for name in names)
-    return Finding(
-        f"PS-RL-3 trained on {reward} keeps switching, or collapses to one skill.", "sections 4.2 and 4.3",
-        f"On Climb+Gap, against what the oracle asks for along the same path.  It flickers if it switches more than "
-        f"{FLICKER:g} times as often; it has collapsed if its commonest skill acts for more than {COLLAPSE:.0%} of the "
-        "episode, and for more than the oracle's would.",
-        (
-            paired(f"{policy}: switches/s - {FLICKER:g} x wanted", switches, FLICKER * wanted if seeds else None),
-            paired(
-                f"{policy}: share of one skill - {COLLAPSE:g} or wanted",
-                share, np.maximum(COLLAPSE, wanted_share) if seeds else None,
-            ),
-        ),
-        any_of=True,
-    )  # fmt: skip
-
-
-def rl_selector_on_reward_is_unsteady(e: Evidence) -> Finding:
-    """Judge "keeps switching its predicted policy" and "mode collapse", for the original reward."""
-    return _flickers_or_collapses(e, "ps-rl-3-env", "the environment's reward")
-
-
-def rl_selector_on_oracle_reward_is_unsteady(e: Evidence) -> Finding:
-    """Judge the same for the oracle's reward."""
-    return _flickers_or_collapses(e, "ps-rl-3-oracle", "the oracle's reward")
-
-
-# ---------------------------------------------------------------------------- section 4.3 and Table 1, terrains
-
-
-def specialists_fail_elsewhere(e: Evidence) -> Finding:
-    """Judge what Table 1 shows: on each terrain the specialists of other terrains fall behind its own."""
-    return Finding(
-        "Specialists fail off their own course.", "Table 1",
-        "Waypoint fraction of the terrain's own specialist minus that of each other of the oracle's five skills there.",
-        tuple(e.compare((OWN[t], t), (other, t)) for t in OWN for other in FOREIGN[t]),
-    )  # fmt: skip
-
-
-def climb_gap_is_the_hardest(e: Evidence) -> Finding:
-    """Judge "climb = leap = plank < climb and leap", its second half."""
-    easier = [("ps-sl-5", t) for t in ("climb", "gap", "beam")] + [("ps-rl-3", t) for t in ("climb", "gap")]
-    return Finding(
-        "Climb+Gap is harder for the learned selectors than Climb, Gap and Beam.", "section 4.3",
-        "Waypoint fraction of one selector on two terrains; PS-RL-3 has no skill for beams.  How hard a terrain is "
-        "depends on its dimensions, and those of Beam and Climb+Gap are ours.",
-        tuple(e.compare(side, (side[0], "climb-gap")) for side in easier),
-    )  # fmt: skip
-
-
-def other_terrains_are_equally_hard(e: Evidence) -> Finding:
-    """Judge "climb = leap = plank", the first half: equality needs a margin."""
-    pairs = (("climb", "gap"), ("gap", "beam"), ("climb", "beam"))
-    return Finding(
-        "Climb, Gap and Beam are equally hard for PS-SL-5.", "section 4.3",
-        f"Waypoint fraction on two terrains; equal if the interval lies within +-{EQUAL}, unequal if it lies outside.",
-        tuple(e.compare(("ps-sl-5", a), ("ps-sl-5", b), margin=EQUAL) for a, b in pairs),
-    )  # fmt: skip
-
-
-# ---------------------------------------------------------------------------- abstract, learning curves
-
-
-def _level_differences(e: Evidence, generalist: str, late: bool) -> np.ndarray:
-    """Level of the generalist minus the mean level of the specialists that it replaces, (S,).
-
-    The generalist's is that on the courses of those specialists.  Early: all after the same
-    number of steps, warm start included.  Late: each at its end.
-    """
-    names, found = (generalist, *REPLACED[generalist]), []
-    for seed in sorted({seed for _, seed in e.curves}):
-        if not all((name, seed) in e.curves for name in names):
-            continue
-        own, *curves = (e.curves[name, seed] for name in names)
-        kinds = [f"level_{find_policy(name).courses[0]}" for name in names[1:]]
-        if not all(kind in own for kind in kinds):
-            continue
-        start, end = max(c["steps"][0] for c in (own, *curves)), min(c["steps"][-1] for c in curves)
-        at = start + EARLY * (end - start)
-        pairs = [((own["steps"], own[kind]), (c["steps"], c["level"])) for kind, c in zip(kinds, curves, strict=True)]
-        levels = [[level[-1] if late else np.interp(at, steps, level) for steps, level in pair] for pair in pairs]
-        found.append(np.mean([generalist_level - level for generalist_level, level in levels]))
-    return np.array(found)
-
-
-def generalists_learn_faster_early(e: Evidence) -> Finding:
-    """Judge "a generalist exhibits accelerated early-stage learning"."""
-    return Finding(
-        "Generalists learn faster early.", "abstract",
-        f"Level of the curriculum after {EARLY:.0%} of the shortest specialist's training, all after the same number of "
-        "steps: the generalist's on their courses minus the mean of the specialists that it replaces.",
-        tuple(over_seeds(f"{g}: early level", _level_differences(e, g, late=False)) for g in REPLACED),
-    )  # fmt: skip
-
-
-def generalists_plateau_below(e: Evidence) -> Finding:
-    """Judge "its performance tends to plateau at a suboptimal level"."""
-    return Finding(
-        "Generalists plateau below the specialists.", "abstract",
-        "Level of the curriculum at the end of training: the mean of the specialists minus the generalist's on their "
-        "courses; Table 1 prints the steps of each.",
-        tuple(over_seeds(f"{g}: final level", -_level_differences(e, g, late=True)) for g in REPLACED),
-    )  # fmt: skip
-
-
-# ---------------------------------------------------------------------------- section 4.2, ablations
-
-
-def _ablation(e: Evidence, name: str) -> Comparison:
-    """Compare the baseline with one ablation, per seed and policy, each at the end of its training."""
-    last: dict[tuple[str, str, int], tuple[int, float]] = {}
-    for row in e.ablations:
-        key = (row["ablation"], row["policy"], row["seed"])
-        last[key] = max(last.get(key, (-1, nan)), (row["steps"], row["waypoint_fraction"]))
-    both = {(p, s) for a, p, s in last if a == name and (BASELINE, p, s) in last}
-    policies = sorted({p for p, _ in both})
-    seeds = sorted(s for s in {s for _, s in both} if all((p, s) in both for p in policies))
-    differences = [[last[BASELINE, p, s][1] - last[name, p, s][1] for p in policies] for s in seeds]
-    return over_seeds(f"{BASELINE} - {name}" + (f" ({', '.join(policies)})" if policies else ""), np.array(differences))
-
-
-def curriculum_is_crucial(e: Evidence) -> Finding:
-    """Judge "Curriculum is crucial for the robot to learn anything"."""
-    return Finding(
-        "Curriculum is crucial.", "section 4.2",
-        "Waypoint fraction of policies trained with the curriculum minus that of the same trained without.",
-        (_ablation(e, NO_CURRICULUM),),
-    )  # fmt: skip
-
-
-def action_stacking_hurts(e: Evidence) -> Finding:
-    """Judge "Action stacking (repeating the same action for multiple timesteps) worsened the performance"."""
-    names = sorted({row["ablation"] for row in e.ablations if row["ablation"].startswith(ACTION_STACKING)})
-    return Finding(
-        "Action stacking hurts.", "section 4.2",
-        "Waypoint fraction of policies that choose every action minus that of policies that hold each for some steps.",
-        tuple(_ablation(e, name) for name in names or [ACTION_STACKING]),
-    )  # fmt: skip
-
-
-CLAIMS: tuple[Callable[[Evidence], Finding], ...] = (
-    selectors_win_where_one_skill_is_asked_for,
-    generalists_win_on_climb_gap,
-    generalists_win_reward_on_climb_gap,
-    rl_selector_wins_waypoints_on_climb_gap,
-    rl_selector_on_reward_is_unsteady,
-    rl_selector_on_oracle_reward_is_unsteady,
-    specialists_fail_elsewhere,
-    climb_gap_is_the_hardest,
-    other_terrains_are_equally_hard,
-    generalists_learn_faster_early,
-    generalists_plateau_below,
-    curriculum_is_crucial,
-    action_stacking_hurts,
-)
-
-
-# ---------------------------------------------------------------------------- all of them
+    names = {name for generalist, replaced in REPLACED.items() for name in (generalist, *replaced)}
+    wanted = product(sorted(names), sorted({seed for _, _, seed in cells}))
+    curves = {(policy, seed): training_curve(policy, replace(training, seed=seed)) for policy, seed in wanted}
+    return Evidence(cells, {key: curve for key, curve in curves.items() if curve}, read_ablations(ablations))
 
 
 def check(cells: Cells, training: WeightsConfig, ablations: Path) -> list[Finding]:
-    """Judge every claim by the cells of a table; see :func:`agility_ref.results.findings.gather`."""
-    policies = {name for generalist, replaced in REPLACED.items() for name in (generalist, *replaced)}
-    evidence = gather(cells, training, ablations, policies)
-    return [claim(evidence) for claim in CLAIMS]
+    """Judge every claim; parameters as :func:`gather`."""
+    evidence = gather(cells, training, ablations)
+    return [evidence.judge(claim) for claim in CLAIMS.values()]
 
 
 def compare(cells: Cells, policies: tuple[str, ...]) -> list[Comparison]:
     """Compare the first policy's waypoint fraction with that of each other one, terrain by terrain."""
-    evidence = Evidence(cells, {}, [])
-    return [evidence.compare((policies[0], t), (other, t)) for other in policies[1:] for t in ENVIRONMENTS]
+    rows = [Row(policies[0], other, t, t) for other in policies[1:] for t in ENVIRONMENTS]
+    return [found for row in rows for found in Evidence(cells, {}, []).measure(row)]
+
+
+# ---------------------------------------------------------------------------- as text
+
+
+def text(findings: list[Finding]) -> str:
+    """Return the findings for a terminal, each with its comparisons."""
+    width = max((len(c.text) for f in findings for c in f.comparisons), default=0)
+    lines = []
+    for f in findings:
+        lines += ["", f"{f.verdict.upper()}: {f.claim.text} ({f.claim.section})"]
+        for c in f.comparisons:
+            paper = "" if isnan(c.paper) else f"paper {c.paper:+.2f}"
+            lines.append(f"    {c.text:{width}}  {c!s:24} {c.verdict:15} {c.seeds:2} seeds  {paper}".rstrip())
+    if usual_seeds(findings) == 1:
+        lines += ["", f"One training seed: {ONE_SEED}"]
+    return "\n".join(lines[1:])
+
+
+def usual_seeds(findings: list[Finding]) -> int:
+    """Return the number of training seeds behind most comparisons, those not measured apart."""
+    return mode([c.seeds for f in findings for c in f.comparisons if c.seeds] or [0])
+
+
+def markdown(findings: list[Finding], caption: str) -> str:
+    """Return the findings as a page: the rule, a list of verdicts, every comparison."""
+    parts = [
+        f"# Findings of the paper: {caption}",
+        "",
+        "A difference is **reproduced** if its 95 % interval lies entirely on the side that the paper claims, **not "
+        "reproduced** if it lies entirely on the other, **undecided** if it covers 0.  A claim that says *and* needs all its "
+        "comparisons and falls with one; a claim that says *or* needs one and falls with all.  Differences are paired episode "
+        "by episode, intervals are bootstrapped over training seeds and episodes (Student's where there is one number per "
+        "seed), 95 % each without correction for their number; with fewer than ten seeds the bootstrapped ones are too "
+        "short (`agility_ref/stats.py`).  *Seeds* are training seeds; one seed says nothing about another.  *Paper* is the same difference of the means that the paper prints, without an interval.",
+        "",
+    ]
+    if usual_seeds(findings) == 1:
+        parts += [f"**One training seed**: {ONE_SEED}", ""]
+    parts += ["| verdict | claim | section |", "|---|---|---|"]
+    parts += [f"| {f.verdict} | {f.claim.text} | {f.claim.section} |" for f in findings]
+    for f in findings:
+        parts += ["", f"## {f.claim.text}", ""]
+        parts += [f"{f.claim.section}.  {f.claim.measure}  **{f.verdict.capitalize()}.**", ""]
+        parts += ["| comparison | ours | seeds | verdict | paper |", "|---|---|---|---|---|"]
+        parts += [
+            f"| {c.text} | {c} | {c.seeds} | {c.verdict} | {'-' if isnan(c.paper) else f'{c.paper:+.2f}'} |"
+            for c in f.comparisons
+        ]
+    return "\n".join(parts) + "\n"
 
 
 def write(findings: list[Finding], folder: Path, caption: str) -> Path:

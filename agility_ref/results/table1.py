@@ -15,8 +15,6 @@ from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS, EvaluationConfig, evaluation_world, mean_std
 from agility_ref.results.cells import Cell, Cells, acting_policies, enter, find_cell, seeds_of
@@ -24,6 +22,8 @@ from agility_ref.stats import bootstrap_interval, iqm, wilson_interval
 from agility_ref.training import weights
 from agility_ref.training.bank import WeightsConfig, run_folder
 from agility_ref.training.policies import ENVIRONMENTS, POLICIES, TABLE_ROWS, find_policy
+
+import numpy as np
 
 # Beyond the paper: the two rewards of section 3.2.2, and the future work of section 5.
 EXTRA_ROWS = ("ps-rl-3-env", "ps-rl-3-oracle", "distilled", "post-gen")

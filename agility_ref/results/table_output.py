@@ -10,8 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from agility_ref.evaluate import METRICS, EvaluationConfig
+from agility_ref.files import write_csv, write_text
 from agility_ref.results.table1 import Interval, Row
-from agility_ref.training.progress import write_csv, write_text
+from agility_ref.training.progress import attempt
 
 HEADINGS = {
     "reward": "Reward",
@@ -207,7 +208,7 @@ def _math(value: str) -> str:
 
 
 def write_all(rows: list[Row], folder: Path, caption: str) -> list[Path]:
-    """Write table1.csv, table1.md, table1.tex and table1.png; return their paths."""
+    """Write table1.csv, table1.md and table1.tex, and draw table1.png if that can be done; return their paths."""
     from agility_ref.pictures.plots import table_figure
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -215,5 +216,4 @@ def write_all(rows: list[Row], folder: Path, caption: str) -> list[Path]:
     write_csv(paths[0], [csv_line(row) for row in rows])
     write_text(paths[1], f"# {caption}\n\n{markdown(rows)}")
     write_text(paths[2], latex(rows, caption))
-    table_figure(rows, paths[3], caption)
-    return paths
+    return paths if attempt(table_figure, rows, paths[3], caption) else paths[:3]

@@ -57,7 +57,7 @@ def test_recording_is_what_the_environment_did(random_policy):
         assert reward[0] == pytest.approx(episode.reward[t], abs=1e-12)
     assert (terminated | truncated)[0]
     assert bool(terminated[0]) == episode.fell
-    assert info["episode"]["waypoints"][0] == episode.reached
+    assert info["totals"]["waypoints"][0] == episode.reached
 
 
 def test_no_row_of_the_next_episode_slips_in(episodes):
@@ -106,7 +106,7 @@ def trace_of(hierarchy, environment="climb-gap"):
 
 @pytest.mark.parametrize("environment", ["climb-gap", "beam"])
 def test_a_trace_is_the_evaluation_step_by_step(five_skills, environment):
-    hierarchy = Hierarchy("leaper", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3))
+    hierarchy = Hierarchy("leaper", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3), np.arange(5))
     trace, evaluation = trace_of(hierarchy, environment), evaluate(hierarchy, environment, FEW, SHORT)
     np.testing.assert_array_equal(trace.waypoint_fraction, evaluation.waypoint_fraction)
     steps = max(evaluation.episode_length)

@@ -11,9 +11,11 @@ from agility_ref.results.findings import (
     NOT_REPRODUCED,
     REPRODUCED,
     UNDECIDED,
+    Claim,
     Comparison,
     Evidence,
     Finding,
+    Row,
     gather,
     markdown,
     over_seeds,
@@ -50,7 +52,7 @@ def make_cells(means, seeds=(0,), metric="waypoint_fraction", spread=0.02):
 
 
 def judge(claim, cells=None, curves=None, ablations=()):
-    return claim(Evidence(cells or {}, curves or {}, list(ablations)))
+    return Evidence(cells or {}, curves or {}, list(ablations)).judge(CLAIMS[claim])
 
 
 def with_choices(cells, policy, **choices):
@@ -69,7 +71,7 @@ SKILL_TERRAINS = ("gap", "beam", "climb")
 def test_selectors_against_generalists(selector, gen5, verdict):
     means = {(p, t): selector for p in ("oracle", "ps-sl-5") for t in SKILL_TERRAINS}
     means |= {("gen-5", t): gen5 for t in SKILL_TERRAINS} | {("gen-3", t): 0.3 for t in SKILL_TERRAINS}
-    finding = judge(findings.selectors_win_where_one_skill_is_asked_for, make_cells(means))
+    finding = judge("selectors-on-skill-terrains", make_cells(means))
     assert finding.verdict == verdict and len(finding.comparisons) == 12
     against = {c.text: c.verdict for c in finding.comparisons}
     assert against["oracle - gen-3 on gap"] == REPRODUCED and against["ps-sl-5 - gen-5 on beam"] == verdict
@@ -77,12 +79,12 @@ def test_selectors_against_generalists(selector, gen5, verdict):
 
 def test_a_difference_within_the_noise_is_undecided():
     cells = make_cells({}, spread=0.3)
-    assert judge(findings.rl_selector_wins_waypoints_on_climb_gap, cells).verdict == UNDECIDED
+    assert judge("ps-rl-3-on-climb-gap", cells).verdict == UNDECIDED
 
 
 def test_differences_have_the_right_size_and_the_papers_beside_them():
     means = {("gen-3", "climb-gap"): 0.7, ("oracle", "climb-gap"): 0.4}
-    finding = judge(findings.generalists_win_on_climb_gap, make_cells(means))
+    finding = judge("generalists-on-climb-gap", make_cells(means))
     first = finding.comparisons[0]
     assert first.text == "gen-3 - oracle on climb-gap"
     # the courses' own difficulty cancels; 40 differences of noise 0.02 * sqrt 2 remain
@@ -92,14 +94,12 @@ def test_differences_have_the_right_size_and_the_papers_beside_them():
 
 def test_rewards_are_judged_apart_from_waypoints():
     cells = make_cells({("gen-3", "climb-gap"): 5.0, ("gen-5", "climb-gap"): 4.0}, metric="reward")
-    assert judge(findings.generalists_win_reward_on_climb_gap, cells).verdict == REPRODUCED
-    assert judge(findings.generalists_win_on_climb_gap, cells).verdict == UNDECIDED
+    assert judge("generalists-reward-on-climb-gap", cells).verdict == REPRODUCED
+    assert judge("generalists-on-climb-gap", cells).verdict == UNDECIDED
 
 
 def test_the_alias_names_the_selector_of_the_table():
-    finding = judge(
-        findings.rl_selector_wins_waypoints_on_climb_gap, make_cells({("ps-rl-3-oracle", "climb-gap"): 0.9})
-    )
+    finding = judge("ps-rl-3-on-climb-gap", make_cells({("ps-rl-3-oracle", "climb-gap"): 0.9}))
     assert finding.verdict == REPRODUCED
     assert [c.paper for c in finding.comparisons] == pytest.approx([0.87 - 0.71, 0.87 - 0.80, 0.87 - 0.81])
 
@@ -116,11 +116,7 @@ def test_flicker_and_collapse(switches, wanted, share, wanted_share, verdicts, r
     cells = make_cells({}, seeds=(0, 1))
     with_choices(cells, f"ps-rl-3-{reward}", switches_per_second=switches, wanted_switches_per_second=wanted,
                  commonest_share=share, wanted_commonest_share=wanted_share)  # fmt: skip
-    claim = {
-        "env": findings.rl_selector_on_reward_is_unsteady,
-        "oracle": findings.rl_selector_on_oracle_reward_is_unsteady,
-    }[reward]
-    finding = judge(claim, cells)
+    finding = judge(f"ps-rl-3-{reward}-unsteady", cells)
     assert tuple(c.verdict for c in finding.comparisons) == verdicts
     assert finding.verdict == (
         REPRODUCED if REPRODUCED in verdicts else UNDECIDED if UNDECIDED in verdicts else NOT_REPRODUCED
@@ -130,8 +126,8 @@ def test_flicker_and_collapse(switches, wanted, share, wanted_share, verdicts, r
 
 def test_specialists_at_home_and_elsewhere():
     at_home = {("leap", "gap"): 0.9, ("beam", "beam"): 0.9, ("climb", "climb"): 0.9}
-    assert judge(findings.specialists_fail_elsewhere, make_cells(at_home)).verdict == REPRODUCED
-    finding = judge(findings.specialists_fail_elsewhere, make_cells(at_home | {("leap", "climb"): 0.95}))
+    assert judge("specialists-elsewhere", make_cells(at_home)).verdict == REPRODUCED
+    finding = judge("specialists-elsewhere", make_cells(at_home | {("leap", "climb"): 0.95}))
     assert finding.verdict == NOT_REPRODUCED
     assert [c.text for c in finding.comparisons if c.verdict == NOT_REPRODUCED] == ["climb - leap on climb"]
 
@@ -142,7 +138,7 @@ def test_courses_of_two_terrains_are_paired_by_difficulty():
     easy_first = np.arange(N) / N
     for terrain, difficulty in (("gap", easy_first), ("beam", easy_first[::-1])):
         cells["walk", terrain, 0].arrays.update(difficulty=difficulty, waypoint_fraction=0.9 - 0.5 * difficulty)
-    found = Evidence(cells, {}, []).compare(("walk", "gap"), ("walk", "beam"))
+    (found,) = Evidence(cells, {}, []).measure(Row("walk", "walk", "gap", "beam"))
     assert (found.difference, found.low, found.high) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
 
 
@@ -153,26 +149,26 @@ def test_order_of_terrains(climb, hardest, equal):
     means = {(p, t): 0.8 for p in ("ps-sl-5", "ps-rl-3-oracle") for t in ("gap", "beam")}
     means |= {(p, "climb"): climb for p in ("ps-sl-5", "ps-rl-3-oracle")} | {("ps-sl-5", "climb-gap"): 0.5}
     cells = make_cells(means)
-    assert judge(findings.climb_gap_is_the_hardest, cells).verdict == hardest
-    assert judge(findings.other_terrains_are_equally_hard, cells).verdict == equal
+    assert judge("climb-gap-hardest", cells).verdict == hardest
+    assert judge("others-equally-hard", cells).verdict == equal
 
 
 def test_pairs_use_the_seeds_that_both_have():
     cells = make_cells({}, seeds=(0, 1, 2))
     del cells["gen-3", "climb-gap", 1], cells["oracle", "climb-gap", 2]
-    finding = judge(findings.generalists_win_on_climb_gap, cells)
+    finding = judge("generalists-on-climb-gap", cells)
     assert [c.seeds for c in finding.comparisons] == [1, 2, 2, 3]
 
 
 def test_without_cells_nothing_is_measured():
     for claim in CLAIMS:
-        assert judge(claim).verdict == NOT_MEASURED, claim.__name__
+        assert judge(claim).verdict == NOT_MEASURED, claim
 
 
 def test_claims_are_different_and_say_how_they_are_measured():
     found = [judge(claim, with_everything()) for claim in CLAIMS]
-    assert len({f.claim for f in found}) == len(CLAIMS)
-    assert all(f.measure and f.section and f.comparisons for f in found)
+    assert len({f.claim.text for f in found}) == len(CLAIMS)
+    assert all(f.claim.measure and f.claim.section and f.comparisons for f in found)
 
 
 def with_everything():
@@ -205,29 +201,29 @@ FAST_THEN_FLAT, SLOW_THEN_HIGH = [0.0, 0.4, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5], 
 
 def test_generalists_early_and_late():
     curves = make_curves(FAST_THEN_FLAT, SLOW_THEN_HIGH)
-    early = judge(findings.generalists_learn_faster_early, curves=curves)
+    early = judge("generalists-early", curves=curves)
     # a quarter of the way from 100 to 500 is 200: 0.4 against 0.1, 0.11, 0.12
     assert early.verdict == REPRODUCED and early.comparisons[0].difference == pytest.approx(0.29)
-    late = judge(findings.generalists_plateau_below, curves=curves)
+    late = judge("generalists-plateau", curves=curves)
     # 0.9, 0.91, 0.92 against 0.5
     assert late.verdict == REPRODUCED and late.comparisons[1].difference == pytest.approx(0.41)
 
 
 def test_generalists_that_are_slow_and_end_high():
     curves = make_curves([0.0, 0.05, 0.2, 0.5, 0.8, 0.9, 1.0, 1.0, 1.0], SLOW_THEN_HIGH)
-    assert judge(findings.generalists_learn_faster_early, curves=curves).verdict == NOT_REPRODUCED
-    assert judge(findings.generalists_plateau_below, curves=curves).verdict == NOT_REPRODUCED
+    assert judge("generalists-early", curves=curves).verdict == NOT_REPRODUCED
+    assert judge("generalists-plateau", curves=curves).verdict == NOT_REPRODUCED
 
 
 def test_two_curves_are_too_few():
-    finding = judge(findings.generalists_plateau_below, curves=make_curves(FAST_THEN_FLAT, SLOW_THEN_HIGH, seeds=2))
+    finding = judge("generalists-plateau", curves=make_curves(FAST_THEN_FLAT, SLOW_THEN_HIGH, seeds=2))
     assert finding.verdict == UNDECIDED and "2 of 3 seeds" in finding.comparisons[0].text
 
 
 def test_curves_that_lack_a_specialist_are_left_out():
     curves = make_curves(FAST_THEN_FLAT, SLOW_THEN_HIGH, seeds=4)
     del curves["leap", 2]
-    assert [c.seeds for c in judge(findings.generalists_plateau_below, curves=curves).comparisons] == [3, 3]
+    assert [c.seeds for c in judge("generalists-plateau", curves=curves).comparisons] == [3, 3]
 
 
 def test_training_curve_of_an_own_run_and_of_shipped_weights(tmp_path, monkeypatch, finished_run):
@@ -264,23 +260,23 @@ def ablation_rows(effect, name="no-curriculum", seeds=3):
     (0.5, 3, REPRODUCED), (-0.1, 3, NOT_REPRODUCED), (-0.01, 3, UNDECIDED), (0.5, 2, UNDECIDED),
 ])  # fmt: skip
 def test_ablations(effect, seeds, verdict):
-    finding = judge(findings.curriculum_is_crucial, ablations=ablation_rows(effect, seeds=seeds))
+    finding = judge("curriculum", ablations=ablation_rows(effect, seeds=seeds))
     assert finding.verdict == verdict
     # the last steps count: 0.80, 0.81, 0.82 against 0.8 - effect
     assert finding.comparisons[0].difference == pytest.approx(effect + 0.005 * (seeds - 1))
-    assert judge(findings.action_stacking_hurts, ablations=ablation_rows(effect)).verdict == NOT_MEASURED
+    assert judge("action-stacking", ablations=ablation_rows(effect)).verdict == NOT_MEASURED
 
 
 def test_every_length_of_action_stacking_is_judged():
     rows = ablation_rows(0.3, "action-repeat-2") + ablation_rows(0.5, "action-repeat-4")
-    finding = judge(findings.action_stacking_hurts, ablations=rows)
+    finding = judge("action-stacking", ablations=rows)
     assert [c.text for c in finding.comparisons] == [f"baseline - action-repeat-{k} (climb, leap)" for k in (2, 4)]
     assert finding.verdict == REPRODUCED
 
 
 def test_a_seed_that_lacks_a_policy_is_left_out():
     rows = [r for r in ablation_rows(0.5, seeds=4) if (r["policy"], r["seed"]) != ("leap", 3)]
-    assert judge(findings.curriculum_is_crucial, ablations=rows).comparisons[0].seeds == 3
+    assert judge("curriculum", ablations=rows).comparisons[0].seeds == 3
 
 
 def test_read_ablations(tmp_path):
@@ -329,15 +325,16 @@ def test_check_and_write(tmp_path, monkeypatch):
     assert len(found) == len(CLAIMS)
     page = findings.write(found, tmp_path, "preset quick").read_text()
     assert page.startswith("# Findings of the paper: preset quick\n")
-    assert all(f"## {f.claim}" in page for f in found)
+    assert all(f"## {f.claim.text}" in page for f in found)
 
 
 def test_gather_reads_the_curves_of_the_seeds_in_the_table(tmp_path, finished_run):
     for seed in (0, 1):
         folder = finished_run(tmp_path, "leap", seed)
         (folder / "progress.csv").write_text("steps,level\n10,0.5\n")
-    evidence = gather(make_cells({}, seeds=(1,)), TrainConfig(out=str(tmp_path)), tmp_path / "none.csv", ["leap"])
-    assert list(evidence.curves) == [("leap", 1)]
+    evidence = gather(make_cells({}, seeds=(1,)), TrainConfig(out=str(tmp_path)), tmp_path / "none.csv")
+    assert [seed for policy, seed in evidence.curves if policy == "leap"] == [1]
+    assert {seed for _, seed in evidence.curves} == {1}
 
 
 YES, NO = Comparison("yes", 0.2, 0.1, 0.3, seeds=2), Comparison("no", -0.2, -0.3, -0.1, seeds=2)
@@ -345,7 +342,7 @@ OPEN, NOTHING = Comparison("open", 0.1, -0.1, 0.3, seeds=2), Comparison("nothing
 
 
 def finding(*comparisons, any_of=False):
-    return Finding("A beats B.", "section 9", "Measured so.", comparisons, any_of)
+    return Finding(Claim("A beats B.", "section 9", "Measured so.", any_of=any_of), comparisons)
 
 
 # --- one comparison --------------------------------------------------------------------
@@ -370,7 +367,6 @@ def test_equality_needs_the_interval_within_the_margin(low, high, verdict):
 
 def test_nothing_to_compare():
     assert NOTHING.verdict == NOT_MEASURED and str(NOTHING) == "-"
-    assert paired("a - b", None).verdict == paired("a - b", np.ones(3), None).verdict == NOT_MEASURED
 
 
 def test_paired_by_hand():
@@ -389,7 +385,7 @@ def test_few_episodes_leave_it_open():
 
 def test_paired_with_a_number():
     assert paired("a - 1", np.full((2, 4), 1.5), 1.0).difference == 0.5
-    assert paired("a", np.full((2, 4), 1.5)).difference == 1.5
+    assert paired("a", np.full((2, 4), 1.5), 0.0).difference == 1.5
 
 
 @pytest.mark.parametrize("differences, verdict, mean", [
@@ -461,3 +457,12 @@ def test_no_findings_at_all():
 def test_usual_seeds_ignore_what_was_not_measured():
     three = Comparison("a", 0.1, 0.0, 0.2, seeds=3)
     assert usual_seeds([finding(NOTHING, NOTHING, three)]) == 3
+
+
+def test_thresholds_stand_in_the_texts():
+    for reward in ("env", "oracle"):
+        measure = CLAIMS[f"ps-rl-3-{reward}-unsteady"].measure
+        assert f"more than {findings.FLICKER:g} times" in measure and f"more than {findings.COLLAPSE:.0%} of" in measure
+    assert f"after {findings.EARLY:.0%} of" in CLAIMS["generalists-early"].measure
+    equal = CLAIMS["others-equally-hard"]
+    assert all(f"within +-{row.margin}," in equal.measure for row in equal.rows)
