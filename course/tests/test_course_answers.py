@@ -3,6 +3,7 @@
 import argparse
 import re
 import resource
+from pathlib import Path
 
 from course import grade
 from course.assignment import NAMES, find
@@ -67,3 +68,9 @@ def test_at_least_five_wrong_answers_each(name):
     names = [mutant.name for mutant in mutants.of(name)]
     assert len(set(names)) == len(names) >= 5
     assert "agility_ref's own functions" in names
+
+
+def test_the_instructors_page_lists_every_wrong_answer():
+    page = (Path(__file__).parents[2] / "docs" / "instructors.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (hw\d) \| (.+?) \| `(test_\w+)` \| .+ \|$", page, re.MULTILINE)
+    assert rows == [(name, mutant.name, mutant.test) for name in NAMES for mutant in mutants.of(name)]

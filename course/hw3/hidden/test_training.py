@@ -4,7 +4,7 @@ import csv
 from pathlib import Path
 
 import pytest
-from hw3.train import train, waypoints
+from hw3.train import distance, train
 
 with (Path(__file__).parent / "training.csv").open(newline="") as file:
     TABLE = {row["name"]: float(row["value"]) for row in csv.DictReader(file)}
@@ -13,7 +13,7 @@ with (Path(__file__).parent / "training.csv").open(newline="") as file:
 @pytest.mark.training
 @pytest.mark.seconds(int(TABLE["seconds"]))
 def test_training_walks():
-    got = waypoints(*train(int(TABLE["steps"]), seed=0))
-    assert got >= TABLE["waypoints"], (
-        f"after {TABLE['steps']:.0f} steps the robot reaches {got:.2f} waypoints in 8 s, asked are {TABLE['waypoints']:.2f}"
+    got = distance(*train(int(TABLE["steps"]), seed=0))
+    assert got >= TABLE["metres"], (
+        f"after {TABLE['steps']:.0f} steps the robot gets {got:.2f} m far in 8 s, asked are {TABLE['waypoints']:.2f}"
     )

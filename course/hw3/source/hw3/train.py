@@ -78,33 +78,34 @@ def train(steps: int, seed: int, report=lambda **_: None) -> tuple[Policy, adapt
     return policy, normaliser
 
 
-def waypoints(policy: Policy, normaliser: adapters.Normaliser, seed: int = 0) -> float:
-    """Return the waypoints that the mean action reaches in 8 s, mean over 32 robots; the first stands 1 m ahead."""
+def distance(policy: Policy, normaliser: adapters.Normaliser, seed: int = 0) -> float:
+    """Return how far the mean action gets within 8 s or until a fall [m], mean over 32 robots."""
     env = Go1Env(World([make_course("walk", 0.0, seed)]), 32, TASK, seed=seed)
     obs, _ = env.reset(seed)
-    alive, count = np.ones(32, bool), np.zeros(32)
+    alive, start = np.ones(32, bool), env.base_pos[:, 0]
+    x = start.copy()
     while alive.any():
+        x[alive] = env.base_pos[alive, 0]
         with torch.no_grad():
             action = policy.mean(torch.from_numpy(normaliser(obs[:, :OBS]))).numpy()
-        obs, _, terminated, truncated, info = env.step(action)
-        count[alive] = info["totals"]["waypoints"][alive]
+        obs, _, terminated, truncated, _ = env.step(action)
         alive &= ~(terminated | truncated)
-    return float(count.mean())
+    return float((x - start).mean())
 
 
 def main() -> None:
-    """Train with the budget of the grader and say every ten iterations how far the robot gets."""
+    """Train with the budget of the grader and say every twenty iterations how far the robot gets."""
     log = iter(range(10**6))
 
     def report(steps, kl, rate, policy, normaliser):
-        if next(log) % 10 == 9:
+        if next(log) % 20 == 19:
             print(
-                f"{steps:8} steps  KL {kl:.4f}  step size {rate:.1e}  waypoints {waypoints(policy, normaliser):.2f}",
+                f"{steps:8} steps  KL {kl:.4f}  step size {rate:.1e}  distance {distance(policy, normaliser):.2f} m",
                 flush=True,
             )
 
-    policy, normaliser = train(500_000, 0, report)
-    print(f"waypoints {waypoints(policy, normaliser):.2f}")
+    policy, normaliser = train(400_000, 0, report)
+    print(f"distance {distance(policy, normaliser):.2f} m")
 
 
 if __name__ == "__main__":
