@@ -114,8 +114,9 @@ def skip_alias(app, what, name, obj, skip, options) -> bool | None:
 
 
 def link_names(app, docname, source) -> None:
-    """Link names such as `agility_ref.ppo.gae` in the pages to their place in the API."""
+    """Link names such as `agility_ref.ppo.gae` to their place in the API, and pages outside docs/ as files."""
     if not docname.startswith(("api/", "tutorials/")):
+        source[0] = re.sub(r"\[([^\]]+)\]\((\.\./[^)#]+\.md)(#[^)]*)?\)", r"{download}`\1 <\2>`", source[0])
         source[0] = re.sub(r"`agility_ref\.([\w.]+)`", r"{py:obj}`\1 <agility_ref.\1>`", source[0])
 
 
