@@ -36,7 +36,7 @@ suppress_warnings = ["myst.header"]  # a tutorial's cells may begin below the fi
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
-autodoc_default_options = {"members": True, "undoc-members": False, "show-inheritance": False}
+autodoc_default_options = {"members": True}
 autodoc_mock_imports = [
     name
     for name in ("gymnasium", "viser", "imageio_ffmpeg", "onnx", "onnxruntime")

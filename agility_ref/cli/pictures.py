@@ -104,7 +104,7 @@ def plot_curves(argv: list[str]) -> None:
 
     @dataclass(frozen=True)
     class Curves:
-        """Compare runs: a thin line a seed, a bold IQM, a 95 % band, wall time above."""
+        """Compare runs: one thin line per seed, a bold IQM, a 95 % band, wall time above."""
 
         runs: tyro.conf.Positional[tuple[str, ...]]
         """Run folders, such as runs/full/leap/seed0, or shipped weights, such as

@@ -1,6 +1,6 @@
 """Course gallery and the paper's Figures 1 and 2, redrawn.
 
-In:  nothing (courses, framework), or one recorded episode a skill (skills).
+In:  nothing (courses, framework), or one recorded episode per skill (skills).
 Out: matplotlib figures.
 """
 

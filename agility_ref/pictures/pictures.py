@@ -272,7 +272,7 @@ def _draw_trail(axis, episode: Episode) -> None:
     xy = episode.qpos[:, :2]
     axis.plot(*xy.T, color="black", linewidth=2.6 if episode.skill is not None else 1.0, alpha=0.55, zorder=5)
     if episode.skill is not None:
-        parts = stretches(episode.skill)  # a line a stretch: an SVG with a line a step takes seconds
+        parts = stretches(episode.skill)  # one line per stretch: an SVG with one per step takes seconds
         lines = [xy[start : stop + 1] for start, stop in parts]
         colours = [skill_colour(episode.skills[episode.skill[start]]) for start, _ in parts]
         axis.add_collection(LineCollection(lines, colors=colours, linewidths=1.8, zorder=6, in_layout=False))
