@@ -58,7 +58,7 @@ def swing_peaks(contact: np.ndarray, clearance: np.ndarray, counted: np.ndarray)
 
     Returns
     -------
-    four arrays, one a foot, with one entry a swing of any robot [m]
+    four arrays, one per foot, with one entry per swing of any robot [m]
     """
     peaks: list[list[float]] = [[], [], [], []]
     for robot in range(contact.shape[1]):
@@ -184,7 +184,7 @@ def _draw_progress(axis, episode: Episode) -> None:
 
 
 def _draw_rewards(axis, episode: Episode) -> None:
-    """One row a term, each on its own scale; what it summed to stands on the right."""
+    """One row per term, each on its own scale; what it summed to stands on the right."""
     names = sorted(episode.reward_terms, key=lambda name: -episode.reward_terms[name].sum())
     rows = np.stack([episode.reward_terms[name] for name in names])
     width = max(round(0.1 / episode.dt), 1)  # steps averaged in one cell of the picture, 0.1 s

@@ -152,7 +152,7 @@ def band(curves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     Parameters
     ----------
-    curves : (S, G) one row a seed
+    curves : (S, G) one row per seed
 
     Returns
     -------
@@ -194,11 +194,11 @@ def learning_curves(
     evaluations: dict[str, list[dict[str, float]]] | None = None,
     metrics: tuple[str, ...] = ("waypoint_fraction", "level", "reward"),
 ):
-    """Compare policies: a thin line a seed, a bold IQM, a 95 % band; return the figure.
+    """Compare policies: one thin line per seed, a bold IQM, a 95 % band; return the figure.
 
     Parameters
     ----------
-    runs : policy -> the progress of each of its seeds, one array a column
+    runs : policy -> the progress of each of its seeds, one array per column
     evaluations : policy -> evaluations of its runs, each with ``steps`` and the metrics;
         drawn as diamonds, for they are played without exploration and on other courses
     metrics : columns of progress.csv, one panel each; read the waypoint fraction beside the

@@ -125,7 +125,7 @@ def record(
     config : seed, preset, difficulty and noise as in an evaluation; its number of episodes
         is not used
     courses : which courses of that evaluation, counted from 0
-    robots : robots a course, from different starts
+    robots : robots per course, from different starts
     env_config : the task
 
     Returns
