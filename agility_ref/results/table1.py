@@ -133,10 +133,7 @@ def train_all(config: WeightsConfig, quiet: bool = False) -> None:
 
 
 def compute(
-    config: EvaluationConfig,
-    training: WeightsConfig,
-    folder: Path,
-    seeds: tuple[int, ...] | None = (0,),
+    config: EvaluationConfig, training: WeightsConfig, folder: Path, seeds: tuple[int, ...] | None = (0,)
 ) -> tuple[Cells, list[str]]:
     """Find or play every cell whose weights exist; return the cells and what is missing.
 
