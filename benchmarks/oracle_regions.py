@@ -14,7 +14,7 @@ from unittest.mock import patch
 from agility_ref import world
 from agility_ref.curriculum import CurriculumConfig, find_preset, training_world
 from agility_ref.env import Go1Env
-from agility_ref.pictures.record import play
+from agility_ref.pictures import record
 from agility_ref.selector import Hierarchy
 from agility_ref.stats import paired_difference
 from agility_ref.terrain import NUM_WAYPOINTS
@@ -69,7 +69,7 @@ def play_region(oracle: Hierarchy, courses: world.World, skill: str, lead: float
     with patch.dict(world.LEAD, {skill: lead}), patch.dict(world.TAIL, {skill: tail}):
         courses.regions = np.stack([world.region_map(course) for course in courses.courses])
     env = Go1Env(courses, len(courses), next_course=lambda ids, fraction: ids, seed=seed)
-    return np.array([episode.reached for episode in play(oracle, env, skill, seed)]) / NUM_WAYPOINTS
+    return np.array([episode.reached for episode in record.play(oracle, env, skill, seed)]) / NUM_WAYPOINTS
 
 
 def choose(oracle: Hierarchy, skill: str, config: Config) -> dict:

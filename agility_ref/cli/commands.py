@@ -38,14 +38,10 @@ def command_line() -> str:
 class Evaluated:
     """What is played, and where the weights are: what most commands share."""
 
-    preset: Preset = "full"
-    """quick draws d ~ U(0, 0.4), full U(0, 1); also names the weights."""
-    seed: int = 0
-    """Seed of courses, starts, commands, noise and pushes."""
-    train_seed: int = 0
-    """Training seed of the weights."""
-    runs: Folder = ""
-    """Folder of runs to look in before the shipped weights; runs/<preset> by default."""
+    preset: Preset = "full"  # quick draws d ~ U(0, 0.4), full U(0, 1); also names the weights.
+    seed: int = 0  # Seed of courses, starts, commands, noise and pushes.
+    train_seed: int = 0  # Training seed of the weights.
+    runs: Folder = ""  # Folder of runs to look in before the shipped weights; runs/<preset> by default.
 
     def evaluation(self):
         """Return what is played as an EvaluationConfig."""
@@ -79,20 +75,13 @@ class Train:
         agility-ref train leap --seed 1 --ppo.learning-rate 3e-4
     """
 
-    policy: tyro.conf.Positional[Policy]
-    """See `agility-ref list`."""
-    preset: Preset = "full"
-    """quick (d up to 0.4, small budgets) or full (d up to 1)."""
-    seed: int = 0
-    """Seed of courses, networks and exploration."""
-    out: Folder = ""
-    """Folder of runs; runs/<preset> by default."""
-    steps: int = 0
-    """Environment steps, warm start included; 0 for the policy's budget."""
-    overwrite: bool = False
-    """Replace a finished run."""
-    warm_start: bool = True
-    """Start from the policy that the table of policies names; False for from scratch."""
+    policy: tyro.conf.Positional[Policy]  # See `agility-ref list`.
+    preset: Preset = "full"  # quick (d up to 0.4, small budgets) or full (d up to 1).
+    seed: int = 0  # Seed of courses, networks and exploration.
+    out: Folder = ""  # Folder of runs; runs/<preset> by default.
+    steps: int = 0  # Environment steps, warm start included; 0 for the policy's budget.
+    overwrite: bool = False  # Replace a finished run.
+    warm_start: bool = True  # Start from the policy that the table of policies names; False for from scratch.
 
 
 def train_flags() -> type:
@@ -122,16 +111,11 @@ class Evaluate(Evaluated):
         agility-ref evaluate gen-5 --environment climb-gap --difficulty 0.5 --episodes 128 --json
     """
 
-    policy: tyro.conf.Positional[Policy]
-    """See `agility-ref list`."""
-    environment: Environment
-    """climb-gap, gap, beam or climb; or a training course: walk, climb-up, climb-down."""
-    episodes: int = 64
-    """Complete episodes, one per course; usual 64 to 256."""
-    difficulty: float | None = None
-    """Fixes the difficulty of all courses, 0 to 1."""
-    json: bool = False
-    """Print one JSON object."""
+    policy: tyro.conf.Positional[Policy]  # See `agility-ref list`.
+    environment: Environment  # climb-gap, gap, beam or climb; or a training course: walk, climb-up, climb-down.
+    episodes: int = 64  # Complete episodes, one per course; usual 64 to 256.
+    difficulty: float | None = None  # Fixes the difficulty of all courses, 0 to 1.
+    json: bool = False  # Print one JSON object.
 
 
 def evaluate(options: Evaluate) -> None:
@@ -177,20 +161,16 @@ class Table1(Evaluated):
     seed: int = 1  # the recipe was chosen on the courses of seed 0
     """Seed of courses, starts, commands, noise and pushes."""
     train_seed: tyro.conf.Suppress[int] = 0
-    episodes: int = 64
-    """Complete episodes of each cell; usual 64 to 256."""
+    episodes: int = 64  # Complete episodes of each cell; usual 64 to 256.
     seeds: Annotated[Words, tyro.conf.arg(metavar="SEED ...")] = ("0",)
     """Training seeds of the weights: 0, or 0 1 2, or all for every seed that has weights."""
-    train: bool = False
-    """Train every policy first, from scratch; finished runs in --runs are kept."""
-    findings: bool = False
-    """Also check each finding of the paper; writes findings.md."""
+    train: bool = False  # Train every policy first, from scratch; finished runs in --runs are kept.
+    findings: bool = False  # Also check each finding of the paper; writes findings.md.
     compare: Annotated[Words, tyro.conf.arg(metavar="POLICY POLICY ...")] = ()
     """Two policies or more: waypoint fraction of the first minus that of each other one, on paired episodes."""
     ablations: File = ""
     """Ablations for the findings, where measured; benchmarks/results/ablations-<preset>.csv by default."""
-    results: Folder = "results"
-    """Folder for table1.csv, .md, .tex and .png, and for the cells behind them."""
+    results: Folder = "results"  # Folder for table1.csv, .md, .tex and .png, and for the cells behind them.
 
 
 def table1(options: Table1) -> None:
@@ -257,18 +237,13 @@ class Diagnose(Evaluated):
         agility-ref diagnose ps-rl-3 --environment climb-gap gap --json
     """
 
-    policy: tyro.conf.Positional[Policy]
-    """oracle, ps-sl-5, ps-rl-3-env or ps-rl-3-oracle."""
+    policy: tyro.conf.Positional[Policy]  # oracle, ps-sl-5, ps-rl-3-env or ps-rl-3-oracle.
     environment: Annotated[Words, tyro.conf.arg(metavar="ENVIRONMENT ...")] = ("climb-gap", "gap", "beam", "climb")
     """One or more of climb-gap, gap, beam, climb; or training courses: walk, climb-up, climb-down."""
-    episodes: int = 64
-    """Complete episodes, one per course; usual 64 to 256."""
-    difficulty: float | None = None
-    """Fixes the difficulty of all courses, 0 to 1."""
-    results: Folder = "results"
-    """Folder for the figures, as PNG and SVG."""
-    json: bool = False
-    """Print one JSON object."""
+    episodes: int = 64  # Complete episodes, one per course; usual 64 to 256.
+    difficulty: float | None = None  # Fixes the difficulty of all courses, 0 to 1.
+    results: Folder = "results"  # Folder for the figures, as PNG and SVG.
+    json: bool = False  # Print one JSON object.
 
 
 def diagnose(options: Diagnose) -> None:

@@ -36,10 +36,8 @@ class Command(NamedTuple):
     """What runs, and what it is told."""
 
     run: Callable[[Any], None]
-    options: type
-    """Frozen dataclass of the flags used first."""
-    more: Callable[[], type] | None = None
-    """Returns a dataclass whose further fields are flags too."""
+    options: type  # Frozen dataclass of the flags used first.
+    more: Callable[[], type] | None = None  # Returns a dataclass whose further fields are flags too.
 
 
 PLOTS = {

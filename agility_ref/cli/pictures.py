@@ -19,18 +19,13 @@ import tyro
 class Play(Evaluated):
     """What every picture of an episode is told."""
 
-    policy: tyro.conf.Positional[Policy]
-    """See `agility-ref list`."""
+    policy: tyro.conf.Positional[Policy]  # See `agility-ref list`.
     environment: Environment = ""
     """walk, climb-up, climb-down, climb, gap, beam or climb-gap; by default what the policy was trained for."""
-    difficulty: float | None = None
-    """Difficulty of the course, 0 to 1; by default as it was drawn."""
-    course: int = 0
-    """Which course of that seed, counted from 0; its friction, payload and start are drawn anew."""
-    clean: bool = False
-    """Turn noise, pushes, payload and friction differences off."""
-    out: File = ""
-    """File to write; by default a name made of the command, the policy and the environment."""
+    difficulty: float | None = None  # Difficulty of the course, 0 to 1; by default as it was drawn.
+    course: int = 0  # Which course of that seed, counted from 0; its friction, payload and start are drawn anew.
+    clean: bool = False  # Turn noise, pushes, payload and friction differences off.
+    out: File = ""  # File to write; by default a name made of the command, the policy and the environment.
 
     @property
     def kind(self) -> str:
@@ -120,12 +115,9 @@ class Curves:
     runs: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="RUN ...")]]
     """Run folders, such as runs/full/leap/seed0, or shipped weights, such as
     agility_ref/weights/leap-full-seed0.npz; seeds of one policy are drawn together."""
-    out: File = "curves.png"
-    """File to write."""
-    evaluate: Environment = ""
-    """Also evaluate each finished run on this environment, without exploration: diamonds."""
-    episodes: int = 32
-    """Episodes of each of these evaluations; usual 16 to 64."""
+    out: File = "curves.png"  # File to write.
+    evaluate: Environment = ""  # Also evaluate each finished run on this environment, without exploration: diamonds.
+    episodes: int = 32  # Episodes of each of these evaluations; usual 16 to 64.
 
 
 def plot_curves(options: Curves) -> None:
@@ -185,8 +177,7 @@ class Strobe(Play):
         agility-ref plot strobe oracle --environment climb-gap --difficulty 0.5 --out strobe.png
     """
 
-    period: float = 0.7
-    """Time between two drawings of the robot [s]; usual 0.3 to 1."""
+    period: float = 0.7  # Time between two drawings of the robot [s]; usual 0.3 to 1.
 
 
 def plot_strobe(options: Strobe) -> None:
@@ -205,10 +196,8 @@ class OracleMap(Play):
         agility-ref plot oracle-map ps-rl-3 --environment climb-gap --courses 2 --robots 4
     """
 
-    courses: int = 3
-    """How many courses; usual 1 to 5."""
-    robots: int = 8
-    """Robots on each; usual 1 to 20."""
+    courses: int = 3  # How many courses; usual 1 to 5.
+    robots: int = 8  # Robots on each; usual 1 to 20.
 
 
 def plot_oracle_map(options: OracleMap) -> None:
@@ -229,10 +218,8 @@ class Panel(Play):
         agility-ref plot episode leap --difficulty 0.5 --start 4 --seconds 2
     """
 
-    start: float | None = None
-    """Where the window of the joint panels begins [s]; the middle of the episode by default."""
-    seconds: float = 3.0
-    """Its length [s]."""
+    start: float | None = None  # Where the window of the joint panels begins [s]; the middle of the episode by default.
+    seconds: float = 3.0  # Its length [s].
 
 
 def plot_episode(options: Panel) -> None:
@@ -251,10 +238,8 @@ class Courses:
         agility-ref plot courses --seed 5 --out courses.png
     """
 
-    out: File = "courses.png"
-    """File to write."""
-    seed: int = 3
-    """Seed of the courses."""
+    out: File = "courses.png"  # File to write.
+    seed: int = 3  # Seed of the courses.
 
 
 def plot_courses(options: Courses) -> None:
@@ -275,14 +260,10 @@ class Skills:
         agility-ref plot skills --preset quick --difficulty 0.2
     """
 
-    out: File = "skills.png"
-    """File to write."""
-    preset: Preset = "full"
-    """Names the weights."""
-    difficulty: float = 0.3
-    """Of the courses, 0 to 1."""
-    runs: Folder = ""
-    """Folder of runs to look in before the shipped weights; runs/<preset> by default."""
+    out: File = "skills.png"  # File to write.
+    preset: Preset = "full"  # Names the weights.
+    difficulty: float = 0.3  # Of the courses, 0 to 1.
+    runs: Folder = ""  # Folder of runs to look in before the shipped weights; runs/<preset> by default.
 
 
 def plot_skills(options: Skills) -> None:
@@ -306,8 +287,7 @@ class Video(Play):
         agility-ref video oracle --environment climb-gap --difficulty 0.3 --seconds 8 --out oracle.mp4
     """
 
-    seconds: float = 20.0
-    """How much of the episode is filmed [s]."""
+    seconds: float = 20.0  # How much of the episode is filmed [s].
 
 
 def video_flags() -> type:
@@ -339,21 +319,14 @@ class Watch(Play):
         agility-ref watch oracle --environment climb-gap --html oracle.html
     """
 
-    difficulty: float | None = 0.3
-    """Of the courses, 0 to 1; a slider on the page changes it."""
-    course: int = 0
-    """Which course of that seed --html shows, counted from 0."""
+    difficulty: float | None = 0.3  # Of the courses, 0 to 1; a slider on the page changes it.
+    course: int = 0  # Which course of that seed --html shows, counted from 0.
     out: tyro.conf.Suppress[str] = ""
-    port: int = 8080
-    """Port to listen on; the next free one if it is taken."""
-    browser: bool = True
-    """Open the page where this machine has a display."""
-    window: bool = False
-    """Open a native window instead, where there is a display."""
-    html: File = ""
-    """Write one episode as a standalone page to this file instead."""
-    seconds: float = 10.0
-    """Length of that page's clip [s]."""
+    port: int = 8080  # Port to listen on; the next free one if it is taken.
+    browser: bool = True  # Open the page where this machine has a display.
+    window: bool = False  # Open a native window instead, where there is a display.
+    html: File = ""  # Write one episode as a standalone page to this file instead.
+    seconds: float = 10.0  # Length of that page's clip [s].
 
 
 def watch(options: Watch) -> None:

@@ -26,16 +26,13 @@ import numpy as np
 class Gait:
     """How robots walked, over all their counted steps."""
 
-    contact_share: np.ndarray
-    """(4,) share of the steps in which each foot stood."""
+    contact_share: np.ndarray  # (4,) share of the steps in which each foot stood.
     swing_clearance: np.ndarray
     """(4,) height of the top of a swing over the ground, mean over swings [m]; NaN for a foot without any."""
     swings_per_second: np.ndarray
     """(4,) how often each foot was lifted and put down [1/s]; a fluttering foot is far above the others."""
-    torque_share: float
-    """Largest joint torque as a share of its limit."""
-    body_share: float
-    """Share of the steps in which trunk, a thigh or a calf touched the ground."""
+    torque_share: float  # Largest joint torque as a share of its limit.
+    body_share: float  # Share of the steps in which trunk, a thigh or a calf touched the ground.
 
 
 # ---------------------------------------------------------------------------- arrays

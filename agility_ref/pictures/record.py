@@ -36,42 +36,26 @@ class Episode:
     policy: str
     environment: str
     course: Course
-    dt: float
-    """Control time step [s]."""
-    command: float
-    """Commanded speed [m/s]."""
-    fell: bool
-    """The episode ended by a fall."""
-    reached: int
-    """Waypoints reached by the end, 0 to 8."""
-    qpos: np.ndarray
-    """(T, 19) trunk position [m], quaternion wxyz, 12 joint angles [rad]."""
+    dt: float  # Control time step [s].
+    command: float  # Commanded speed [m/s].
+    fell: bool  # The episode ended by a fall.
+    reached: int  # Waypoints reached by the end, 0 to 8.
+    qpos: np.ndarray  # (T, 19) trunk position [m], quaternion wxyz, 12 joint angles [rad].
     qvel: np.ndarray
     """(T, 18) trunk velocity along the axes of the world [m/s], angular velocity, 12 joint velocities [rad/s]."""
     foot_pos: np.ndarray
     """(T, 4, 3) centres of the feet FR, FL, RR, RL [m]; zero in row 0, where nothing has been simulated yet."""
-    foot_contact: np.ndarray
-    """(T, 4) bool, the foot touches the terrain."""
-    foot_on_edge: np.ndarray
-    """(T, 4) bool, the foot violates an edge."""
-    body_contact: np.ndarray
-    """(T, 9) bool, trunk, thighs and calves that touch the terrain."""
-    torque: np.ndarray
-    """(T, 12) at the end of the step before [N m]; zero in row 0."""
-    target: np.ndarray
-    """(T, 12) joint angles asked for [rad]."""
-    waypoint_index: np.ndarray
-    """(T,) waypoints reached so far."""
-    heading_error: np.ndarray
-    """(T,) angle from the heading to the current waypoint [rad]."""
-    reward_terms: dict[str, np.ndarray]
-    """name -> (T,) weighted term; they sum to the reward of the step."""
-    skills: tuple[str, ...] = ()
-    """Names of the skills that a hierarchy chooses from; empty for a single policy."""
-    skill: np.ndarray | None = None
-    """(T,) index of the chosen skill; None for a single policy."""
-    wanted: np.ndarray | None = None
-    """(T,) index of the skill that the oracle names at that place; likewise."""
+    foot_contact: np.ndarray  # (T, 4) bool, the foot touches the terrain.
+    foot_on_edge: np.ndarray  # (T, 4) bool, the foot violates an edge.
+    body_contact: np.ndarray  # (T, 9) bool, trunk, thighs and calves that touch the terrain.
+    torque: np.ndarray  # (T, 12) at the end of the step before [N m]; zero in row 0.
+    target: np.ndarray  # (T, 12) joint angles asked for [rad].
+    waypoint_index: np.ndarray  # (T,) waypoints reached so far.
+    heading_error: np.ndarray  # (T,) angle from the heading to the current waypoint [rad].
+    reward_terms: dict[str, np.ndarray]  # name -> (T,) weighted term; they sum to the reward of the step.
+    skills: tuple[str, ...] = ()  # Names of the skills that a hierarchy chooses from; empty for a single policy.
+    skill: np.ndarray | None = None  # (T,) index of the chosen skill; None for a single policy.
+    wanted: np.ndarray | None = None  # (T,) index of the skill that the oracle names at that place; likewise.
 
     def __len__(self) -> int:
         return len(self.qpos)

@@ -46,30 +46,22 @@ Interval = tuple[float, float, float]
 class Summary:
     """What the table says of one policy on one terrain, from the cells of all its seeds."""
 
-    mean_std: MeanStd
-    """Over the episodes of all seeds together; NaN where there is nothing to divide by."""
-    iqm: dict[str, Interval]
-    """metric -> interquartile mean with its bootstrap interval; empty as published."""
+    mean_std: MeanStd  # Over the episodes of all seeds together; NaN where there is nothing to divide by.
+    iqm: dict[str, Interval]  # metric -> interquartile mean with its bootstrap interval; empty as published.
     success: Interval | None
     """Share of episodes that reach all 8 waypoints, with :func:`success_interval`; None as published."""
-    steps: int
-    """Environment steps spent on the policy, the mean over seeds."""
-    seeds: tuple[int, ...]
-    """Training seeds."""
+    steps: int  # Environment steps spent on the policy, the mean over seeds.
+    seeds: tuple[int, ...]  # Training seeds.
 
 
 @dataclass(frozen=True)
 class Row:
     """One line of the table."""
 
-    environment: str
-    """As the paper labels it."""
-    policy: str
-    """Likewise."""
-    paper: MeanStd | None
-    """The paper's figures, NaN for a dash; None for a line that the paper does not have."""
-    ours: Summary | None
-    """None where weights are missing."""
+    environment: str  # As the paper labels it.
+    policy: str  # Likewise.
+    paper: MeanStd | None  # The paper's figures, NaN for a dash; None for a line that the paper does not have.
+    ours: Summary | None  # None where weights are missing.
 
 
 def paper_cells() -> dict[tuple[str, str], MeanStd]:
@@ -142,10 +134,7 @@ def train_all(config: WeightsConfig, quiet: bool = False) -> None:
 
 
 def compute(
-    config: EvaluationConfig,
-    training: WeightsConfig,
-    folder: Path,
-    seeds: tuple[int, ...] | None = (0,),
+    config: EvaluationConfig, training: WeightsConfig, folder: Path, seeds: tuple[int, ...] | None = (0,)
 ) -> tuple[Cells, list[str]]:
     """Find or play every cell whose weights exist; return the cells and what is missing.
 
