@@ -12,6 +12,16 @@ class UserError(ValueError):
     """What was given, and what is allowed, in one line."""
 
 
+def one_line(error: BaseException) -> str:
+    r"""Return what an error says, without line breaks and whatever else a file may have put into it.
+
+    >>> one_line(ValueError("no array\n\x1b[2J of that name"))
+    'no array [2J of that name'
+    """
+    words = "".join(c if c.isprintable() else " " for c in str(error)).split()
+    return " ".join(words)[:1000]
+
+
 def unknown_name(what: str, given: str, allowed: Iterable[str]) -> UserError:
     """Return the error for a name that is not in ``allowed``, nearest names first."""
     allowed = list(allowed)

@@ -20,7 +20,7 @@ import tyro
 
 from agility_ref.cli.diagnose import diagnose
 from agility_ref.cli.pictures import plot, video, watch
-from agility_ref.errors import UserError, unknown_name
+from agility_ref.errors import UserError, one_line, unknown_name
 
 USAGE = """usage: agility-ref COMMAND [--help]
 
@@ -257,7 +257,7 @@ def main(argv: list[str] | None = None) -> int:
             COMMANDS[argv[0]](argv[1:])
         sys.stdout.flush()
     except UserError as error:
-        print(f"agility-ref: {error}", file=sys.stderr)
+        print(f"agility-ref: {one_line(error)}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader of our output, `head` for one, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
