@@ -12,16 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from agility_ref.errors import UserError, require_at_least
-from agility_ref.files import pack_stream, unpack_stream
-from agility_ref.go1 import (
-    BODY_TOUCH,
-    DEFAULT_DOF_POS,
-    FOOT_RADIUS,
-    FOOT_TOUCH,
-    FOOT_VELOCITY,
-    STAND_HEIGHT,
-    PhysicsConfig,
-)
+from agility_ref.go1 import BODY_TOUCH, DEFAULT_DOF_POS, FOOT_RADIUS, FOOT_TOUCH, FOOT_VELOCITY, PhysicsConfig
 from agility_ref.observation import NOISE, NUM_SCANDOTS, SCANDOTS, rotation, scandots, wrap
 from agility_ref.rewards import RewardConfig, StepState, compute_reward
 from agility_ref.simulation import Simulation
@@ -80,12 +71,6 @@ class EnvConfig:
 # of 20 s fills the batch with nothing.
 TRAINING = EnvConfig(turned_start_share=0.1, stall_seconds=5.0)
 ACTION_DIM = 12
-# What the next step depends on, beside the physics and the random streams.
-STATE = (
-    "course", "waypoint_index", "command", "yaw", "base_lin_vel", "projected_gravity", "heading_error", "foot_contact",
-    "push_timer", "_reach_timer", "_reach_step", "_step_count", "_last_action", "_scandots", "_clock",
-    "_episode_reward", "_episode_edge", "observation",
-)  # fmt: skip
 NextCourse = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
 
 
@@ -114,28 +99,25 @@ class Go1Env:
                                taken anew every ``scandot_period`` steps
     ===================  ====  ===================================================
 
-    **Reward**: :mod:`agility_ref.rewards`; ``info["reward_terms"]`` holds every term.
+    **Reward**: :mod:`agility_ref.rewards`.
 
     **Start**: x = 1 m on the level platform, home pose, facing +x (in training, now and then
-    anywhere: ``turned_start_share``); position, yaw and joints are perturbed a little, and a
-    new command is drawn.
+    anywhere); position, yaw and joints are perturbed a little, and a new command is drawn.
 
-    **Disturbances**: a push every ``push_interval`` seconds; friction and payload of each
-    course, drawn once.
+    **Disturbances**: a push every ``push_interval`` seconds; friction and payload per course.
 
     **Terminated**: tipped over (tilt above ``max_tilt``), left the lane, trunk less than
-    ``fall_clearance`` above the surface that should carry it, or, over a beam's span, no
-    foot at the beam's height; in training also after ``stall_seconds`` without a waypoint; or the simulation failed.
-
+    ``fall_clearance`` above the surface that should carry it, over a beam's span no foot at the
+    beam's height, in training ``stall_seconds`` without a waypoint, or the simulation failed.
     **Truncated**: 20 s, or the last waypoint reached.
 
+    **Info**: ``reward_terms``, each (N,); ``final_obs`` (N, 184), the true last observation of robots
+    that are done, its scandots as last taken, and that of the others; ``totals``, for every robot
+    the running ``reward``, ``length``, ``waypoints`` and ``edge`` sums *before* the reset, to be read
+    where it is done; ``feet_on_edge`` (N,), feet that violate an edge in this step; ``kind`` (N,),
+    number of the kind of course.
+
     **Autoreset**: Gymnasium's SAME_STEP, or DISABLED with ``autoreset=False``.
-    ``info["final_obs"]`` (N, 184) holds the true last observation, its scandots as last taken;
-    rows of unfinished robots equal the returned observation.
-    ``info["totals"]`` holds, for every robot, the running ``reward``, ``length``,
-    ``waypoints`` and ``edge`` sums *before* the reset; read the rows that are done.
-    ``info["feet_on_edge"]`` (N,) counts the feet that violate an edge in this step, ``info["kind"]``
-    (N,) is the number of the kind of course that it was taken on.
 
     Foot positions and contacts are those at the start of the last physics step, 10 ms
     before the state in the observation, as MuJoCo leaves them after ``mj_step``.
@@ -163,7 +145,8 @@ class Go1Env:
         autoreset : False leaves robots that are done as they are until :meth:`reset`
         """
         self.world, self.num_envs, self.config = world, num_envs, config
-        self.next_course, self.autoreset = next_course or self._draw_course, autoreset
+        self.next_course = next_course or (lambda ids, fraction: self.rng.integers(0, len(world), len(ids)))
+        self.autoreset = autoreset
         self.max_steps = round(config.episode_seconds / config.dt)
         self._reach_steps = max(1, round(config.waypoint_seconds / config.dt))
         self._stall_steps = round(config.stall_seconds / config.dt)
@@ -186,13 +169,12 @@ class Go1Env:
         self._everyone = np.arange(n)
         self.course, self.waypoint_index = np.zeros(n, int), np.zeros(n, int)
         self.command = np.ones(n)
-        self.base_lin_vel = np.zeros((n, 3))  # in the trunk's frame [m/s]
-        self.projected_gravity = np.zeros((n, 3))
+        self.base_lin_vel, self.projected_gravity = np.zeros((2, n, 3))  # in the trunk's frame [m/s]
         self.yaw = np.zeros(n)  # [rad]
         self.goal = np.zeros((n, 2))  # from the trunk to the current waypoint [m]
         self.heading_error = np.zeros((n, 2))  # to the current and the next waypoint [rad]
-        self.foot_contact, self.foot_on_edge = np.zeros((n, 4), bool), np.zeros((n, 4), bool)
-        self._reach_timer, self._step_count = np.zeros(n, int), np.zeros(n, int)
+        self.foot_contact, self.foot_on_edge = np.zeros((2, n, 4), bool)
+        self._reach_timer, self._step_count = np.zeros((2, n), int)
         self._reach_step = np.zeros(n, int)  # step count at the last waypoint
         self.push_timer = np.zeros(n, int)  # control steps until the next push, 1 before the step that it strikes in
         self._last_action = np.zeros((n, ACTION_DIM))
@@ -220,28 +202,6 @@ class Go1Env:
         self._look(ids)
         self.observation = self._observe(slice(None), self._draw_disturbance()[:, 2:])
         return self.observation, {}
-
-    def state(self) -> dict[str, np.ndarray]:
-        """Return all that :meth:`load_state` of an environment made alike needs to go on with the same bits."""
-        arrays = {name.strip("_"): getattr(self, name).copy() for name in STATE}
-        streams = {"rng": pack_stream(self.rng), "disturbance_rng": pack_stream(self._disturbance_rng)}
-        return arrays | streams | {"physics": self.simulation.batch.state.copy()}
-
-    def load_state(self, state: dict[str, np.ndarray]) -> None:
-        """Put the robots where :meth:`state` found them; ``observation`` is what they saw last.
-
-        Raises
-        ------
-        UserError : a robot is on no course of this world
-        """
-        for name, end in (("course", len(self.world)), ("waypoint_index", NUM_WAYPOINTS)):
-            if state[name].min() < 0 or state[name].max() >= end:
-                raise UserError(f"{name} of a robot must be from 0 to {end - 1}")
-        for name in STATE:
-            getattr(self, name)[...] = state[name.strip("_")]
-        self.simulation.load_state(self.course, state["physics"])
-        unpack_stream(self.rng, state["rng"])
-        unpack_stream(self._disturbance_rng, state["disturbance_rng"])
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
         """Advance every robot by one control step, or by ``action_repeat`` of them.
@@ -285,11 +245,9 @@ class Go1Env:
         feet_on_edge = state.foot_on_edge.sum(axis=1)
         self._episode_edge += feet_on_edge
         totals = {
-            "reward": self._episode_reward.copy(),
-            "length": self._step_count.copy(),
-            "waypoints": self.waypoint_index.copy(),
-            "edge": self._episode_edge.copy(),
-        }
+            "reward": self._episode_reward.copy(), "length": self._step_count.copy(),
+            "waypoints": self.waypoint_index.copy(), "edge": self._episode_edge.copy(),
+        }  # fmt: skip
         noise, kind = disturbance[:, 2:], self._kind[self.course]
         done = np.flatnonzero(terminated | truncated) if self.autoreset else self._everyone[:0]
         if len(done):
@@ -323,9 +281,6 @@ class Go1Env:
             self._qvel[due, :2] = self.config.push_velocity * direction[due]
             self.push_timer[due] = self._push_steps
 
-    def _draw_course(self, ids: np.ndarray, waypoint_fraction: np.ndarray | None) -> np.ndarray:
-        return self.rng.integers(0, len(self.world), len(ids))
-
     def _reset(self, ids: np.ndarray, waypoint_fraction: np.ndarray | None) -> None:
         n, rng, c = len(ids), self.rng, self.config
         self.course[ids] = self.next_course(ids, waypoint_fraction)
@@ -353,7 +308,8 @@ class Go1Env:
             yaw[turned] = rng.uniform(-np.pi, np.pi, np.count_nonzero(turned))
         yaw += shift[:, 2]
         qpos = np.tile(self.simulation.home, (n, 1))
-        qpos[:, 0], qpos[:, 1], qpos[:, 2] = SPAWN_X + shift[:, 0], shift[:, 1], STAND_HEIGHT + 0.02
+        qpos[:, 0], qpos[:, 1] = SPAWN_X + shift[:, 0], shift[:, 1]
+        qpos[:, 2] += 0.02  # they drop onto their feet
         qpos[:, 3], qpos[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
         qpos[:, 7:] += shift[:, 3:]
         return qpos
@@ -382,28 +338,17 @@ class Go1Env:
         self._goal_distance = np.hypot(self.goal[:, 0], self.goal[:, 1])
         ground = self.world.ground(self.course[:, None], self.simulation.foot_pos)
         return StepState(
-            dt=self.config.dt,
-            base_lin_vel=self.base_lin_vel,
-            base_ang_vel=self._qvel[:, 3:6],
-            projected_gravity=self.projected_gravity,
-            speed=np.hypot(self._qvel[:, 0], self._qvel[:, 1]),
+            dt=self.config.dt, base_lin_vel=self.base_lin_vel, base_ang_vel=self._qvel[:, 3:6],
+            projected_gravity=self.projected_gravity, speed=np.hypot(self._qvel[:, 0], self._qvel[:, 1]),
             goal_velocity=(self._qvel[:, :2] * self.goal).sum(axis=1) / np.maximum(self._goal_distance, 1e-6),
-            heading_error=self.heading_error[:, 0],
-            command=self.command,
-            on_level_course=self._level_course[self.course],
-            dof_pos=self._qpos[:, 7:],
-            dof_vel=self._qvel[:, 6:],
-            last_dof_vel=last_dof_vel,
-            torque=self.simulation.torque,
-            action=action,
-            last_action=self._last_action,
+            heading_error=self.heading_error[:, 0], command=self.command, on_level_course=self._level_course[self.course],
+            dof_pos=self._qpos[:, 7:], dof_vel=self._qvel[:, 6:], last_dof_vel=last_dof_vel, torque=self.simulation.torque,
+            action=action, last_action=self._last_action,
             foot_force=-feet[:, :, 1:],  # the sensor gives the foot's force on the ground
-            foot_contact=self.foot_contact,
-            foot_on_edge=self.foot_on_edge,
+            foot_contact=self.foot_contact, foot_on_edge=self.foot_on_edge,
             foot_speed=np.hypot(foot_vel[:, :, 0], foot_vel[:, :, 1]),
-            foot_clearance=self.simulation.foot_pos[:, :, 2] - FOOT_RADIUS - ground,
-            body_contact=bodies > 0,
-        )
+            foot_clearance=self.simulation.foot_pos[:, :, 2] - FOOT_RADIUS - ground, body_contact=bodies > 0,
+        )  # fmt: skip
 
     def _near_edge(self) -> np.ndarray:
         """(N, 4) feet in contact within 5 cm of an edge, sideways and in height."""
@@ -447,22 +392,12 @@ class Go1Env:
 
     def _observe(self, ids: np.ndarray | slice, noise: np.ndarray) -> np.ndarray:
         """(n, 184) observation of robots ``ids``, a fresh array; noise (N, 53) in +-1."""
-        observation = np.concatenate(
-            [
-                self.base_lin_vel[ids],  # 3
-                self._qvel[ids, 3:6],  # 3
-                self.projected_gravity[ids],  # 3
-                self.heading_error[ids],  # 2
-                self.command[ids, None],  # 1
-                self._qpos[ids, 7:] - DEFAULT_DOF_POS,  # 12
-                self._qvel[ids, 6:],  # 12
-                self._last_action[ids],  # 12
-                self.foot_contact[ids],  # 4
-                self._scandots[ids],  # 132
-            ],
-            axis=1,
-            dtype=np.float32,
-        )
+        parts = (  # as OBSERVATION lists them
+            self.base_lin_vel[ids], self._qvel[ids, 3:6], self.projected_gravity[ids], self.heading_error[ids],
+            self.command[ids, None], self._qpos[ids, 7:] - DEFAULT_DOF_POS, self._qvel[ids, 6:], self._last_action[ids],
+            self.foot_contact[ids], self._scandots[ids],
+        )  # fmt: skip
+        observation = np.concatenate(parts, axis=1, dtype=np.float32)
         if self.config.noise:
             noise = noise[ids] * (self.config.noise * NOISE)
             observation[:, : SCANDOTS.start] += noise[:, :-1]

@@ -4,7 +4,7 @@ Paper section 4 and Table 1: reward, episode length, waypoint fraction, edge vio
 Two protocols:
 
 complete      Every policy plays the same courses from the same starts with the same commands,
-              noise and pushes, one **complete** episode a course.  Policies are compared
+              noise and pushes, one **complete** episode per course.  Policies are compared
               episode by episode.
 as-published  Counts as the evaluator of Extreme Parkour does, on which the paper stands; see
               :mod:`agility_ref.results.published` for what of it is reproduced and what is not.
@@ -38,7 +38,7 @@ GOLDEN_SHARE = (5**0.5 - 1) / 2  # steps of this share of a circle fill it most 
 class EvaluationConfig:
     """What is played, and how often."""
 
-    episodes: int = 64  # complete episodes, one a course; usual 64 to 256; As published: robots, 256 in the original
+    episodes: int = 64  # complete episodes, one per course; usual 64 to 256; As published: robots, 256 in the original
     seed: int = 0  # seed of courses, starts, commands, noise and pushes
     preset: str = "full"  # quick draws d ~ U(0, 0.4), full U(0, 1)
     difficulty: float | None = None  # fixes the difficulty of all courses, 0 to 1
@@ -101,10 +101,10 @@ def oracle_accuracy(skill: np.ndarray, oracle: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """One policy on one environment; arrays have one entry an episode.
+    """One policy on one environment; arrays have one entry per episode.
 
     Under ``as-published`` the episodes are those that ended in time, in the order of their
-    ends, and ``edge_violation`` has one entry a robot and step instead.
+    ends, and ``edge_violation`` has one entry per robot and step instead.
     """
 
     policy: str

@@ -1,4 +1,4 @@
-"""Rewards: one function a term, one table of weights.
+"""Rewards: one function per term, one table of weights.
 
 The terms are those of the Extreme Parkour code base, which the paper uses "as per
 original paper" (section 3.2.2): github.com/chengxuxin/extreme-parkour,

@@ -94,12 +94,7 @@ class SelectorEnv:
     def __init__(self, env: Go1Env, hierarchy: Hierarchy, reward: str):
         """Take over the robots; the hierarchy's own chooser is not used."""
         self.env, self.hierarchy, self.reward = env, hierarchy, reward
-        self.reset, self.state, self.load_state = env.reset, env.state, env.load_state
-
-    @property
-    def observation(self) -> np.ndarray:
-        """What the robots saw last, (N, 184)."""
-        return self.env.observation
+        self.reset = env.reset
 
     def step(self, skill: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
         """Let the chosen skills (N,) act for one control step."""

@@ -60,7 +60,7 @@ class Placement:
     Parameters
     ----------
     simulations : the batch; its own model must be ``models[0]``
-    models : one a course, of equal sizes
+    models : one per course, of equal sizes
     """
 
     def __init__(self, simulations: batch.Batch, models: list[mujoco.MjModel]):
@@ -88,7 +88,7 @@ class Simulation:
 
     Attributes
     ----------
-    models : one compiled model a course
+    models : one compiled model per course
     batch : the simulator
     home : (19,) qpos of the home pose
     qpos, qvel : (N, 19), (N, 18) trunk position, quaternion wxyz and joints; their velocities
@@ -107,7 +107,7 @@ class Simulation:
         conditions: list[tuple[float, float]],
         num_threads: int = 0,
     ):
-        """Compile one model a course and start the robots on the first, in the home pose.
+        """Compile one model per course and start the robots on the first, in the home pose.
 
         Parameters
         ----------

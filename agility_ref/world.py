@@ -5,7 +5,7 @@ courses: heights under the scandots, edges behind "edge violation" (paper Table 
 oracle's skill regions (section 3.2.1, Figure 3), and where a robot counts as fallen.
 
 In:  a list of :class:`~agility_ref.terrain.Course`.
-Out: a :class:`World` of stacked maps, one row a course.
+Out: a :class:`World` of stacked maps, one row per course.
 """
 
 from functools import cached_property

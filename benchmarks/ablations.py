@@ -12,14 +12,17 @@ is collected into ``<out>/ablations-<preset>.csv``, ``.png`` and ``.svg`` and pr
 
 import csv
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 from agility_ref.curriculum import find_preset
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError, unknown_name
 from agility_ref.files import write_csv, write_text
-from agility_ref.pictures.plots import CYCLE, save_figure, style
+from agility_ref.observation import OBS_DIM
+from agility_ref.pictures.plots import BLUE, new_figure, save_figure, style
 from agility_ref.policy import read_npz, write_npz
+from agility_ref.stats import t_interval
 from agility_ref.training.bank import changed_flags, run_folder
 from agility_ref.training.policies import find_policy, requirements
 from agility_ref.training.progress import versions
@@ -31,8 +34,6 @@ from learning import (
     CURVE_COLUMNS,
     Trained,
     check_skill,
-    curve_grid,
-    draw_curves,
     evaluation_task,
     learn,
     own_courses,
@@ -48,7 +49,7 @@ class Ablation:
 
     name: str
     group: str
-    """Panel of the figure that shows it."""
+    """Part of the figure that shows it."""
     train: dict = field(default_factory=dict)
     """Fields of TrainConfig that change, and those of the configs inside it:"""
     env: dict = field(default_factory=dict)
@@ -66,11 +67,8 @@ ABLATIONS = (
     BASELINE,
     Ablation("from-scratch", "training", train={"warm_start": False}),
     Ablation("no-curriculum", "training", curriculum={"enabled": False}),
-    Ablation("mirror", "training", ppo={"mirror": True}),
     Ablation("command-0.3-0.8", "task and reward", env={"command_low": 0.3, "command_high": 0.8}),  # the original's
     Ablation("command-1.0-1.5", "task and reward", env={"command_low": 1.0, "command_high": 1.5}),
-    Ablation("clip-at-zero", "task and reward", env={"clip_reward_at_zero": True}),
-    Ablation("gait-clock", "task and reward", env={"gait_clock": 2.5}),
     # The joints' reach stays +-1.2 rad.
     Ablation("action-scale-0.2", "action", env={"action_scale": 0.2, "action_limit": 6.0}),
     Ablation("action-scale-0.5", "action", env={"action_scale": 0.5, "action_limit": 2.4}),
@@ -79,7 +77,6 @@ ABLATIONS = (
     Ablation("action-repeat-2", "action", env={"action_repeat": 2, "scandot_period": 1}, ppo={"gamma": 0.99**2}),
     Ablation("action-repeat-4", "action", env={"action_repeat": 4, "scandot_period": 1}, ppo={"gamma": 0.99**4}),
 )
-GROUPS = tuple(dict.fromkeys(a.group for a in ABLATIONS if a.group))
 
 
 @dataclass(frozen=True)
@@ -125,7 +122,7 @@ def save(folder: Path, name: str, recipe: TrainConfig, trained: Trained) -> None
     """Write a finished run, DONE last; `agility-ref watch --runs` plays it."""
     meta = {
         "policy": name, "preset": recipe.preset, "seed": recipe.seed, "steps": trained.steps,
-        "courses": find_policy(name).courses, "act_dim": ACTION_DIM, "obs_dim": recipe.env.obs_dim,
+        "courses": find_policy(name).courses, "act_dim": ACTION_DIM, "obs_dim": OBS_DIM,
         "versions": versions(), "wall_seconds": trained.seconds, "config": asdict(recipe),
     }  # fmt: skip
     write_npz(folder / "policy.npz", trained.arrays, meta)
@@ -242,19 +239,30 @@ def spread(values: list[float], digits: str = ".2f") -> str:
 
 
 def draw(found: dict):
-    """One column a policy, one row a group of ablations, the baseline in black in each; return the figure."""
-    figure, axes = curve_grid(len(GROUPS), len(found), (5.4 * len(found), 3.4 * len(GROUPS)))
+    """One panel per policy, one line per ablation, at the end of training; return the figure.
+
+    A small dot is a training seed, the large one their mean, the bar its 95 % interval (Student's, from three
+    seeds on); groups of ablations stand apart, and the dashed line is the baseline's mean.
+    """
+    shown = [a for a in ABLATIONS if any(a.name in ablations for ablations in found.values())]
+    gaps = np.cumsum([0, *(0.6 * (a.group != b.group) for a, b in pairwise(shown))])
     with style():
-        for column, (policy, ablations) in enumerate(found.items()):
-            axes[0, column].set_title(policy, loc="left")
-            for row, group in enumerate(GROUPS):
-                names = [a.name for a in ABLATIONS if a.group == group and a.name in ablations]
-                for colour, name in zip(("black", *CYCLE), (BASELINE.name, *names), strict=False):
-                    if name in ablations:
-                        draw_curves(axes[row, column], name, list(ablations[name].values()), colour)
-                axes[row, column].set_xlim(left=0)
-                if axes[row, column].lines:
-                    axes[row, column].legend(loc="best", fontsize=10, title=group)
+        figure, axes = new_figure(1, len(found), (5.4 * len(found), 1.6 + 0.36 * len(shown)))
+        for axis, (policy, ablations) in zip(axes[0], found.items(), strict=True):
+            for y, ablation in zip(-np.arange(len(shown)) - gaps, shown, strict=True):
+                last = np.array([curve[-1]["waypoint_fraction"] for curve in ablations.get(ablation.name, {}).values()])
+                if not len(last):
+                    continue
+                colour = "black" if ablation is BASELINE else BLUE
+                if len(last) >= 3:
+                    axis.hlines(y, *t_interval(last), color=colour, linewidth=1.5)
+                axis.plot(last, np.full(len(last), y), ".", color=colour, markersize=6, alpha=0.6)
+                axis.plot(last.mean(), y, "o", color=colour, markersize=8)
+                if ablation is BASELINE:
+                    axis.axvline(last.mean(), color=colour, linestyle="--", linewidth=1)
+            axis.set(xlim=(0, 1.02), xlabel="waypoint fraction at the end of training")
+            axis.set_yticks(-np.arange(len(shown)) - gaps, [a.name for a in shown] if axis is axes[0, 0] else [])
+            axis.set_title(policy, loc="left")
         return figure
 
 

@@ -316,9 +316,11 @@ class Taped:
         return seconds
 
 
-def walk_training(seed: int, num_envs: int, config: EnvConfig = TRAINING) -> tuple[Go1Env, Curriculum]:
+def walk_training(
+    seed: int, num_envs: int, config: EnvConfig = TRAINING, autoreset: bool = True
+) -> tuple[Go1Env, Curriculum]:
     """Build what ``agility-ref train walk --preset quick`` trains on."""
     levels = CurriculumConfig()
     world = training_world(("walk",), levels, PRESETS["quick"].max_difficulty, seed)
     curriculum = Curriculum(1, num_envs, levels, seed)
-    return Go1Env(world, num_envs, config, curriculum.next_course, seed), curriculum
+    return Go1Env(world, num_envs, config, curriculum.next_course, seed, autoreset=autoreset), curriculum

@@ -28,6 +28,7 @@ def parser() -> argparse.ArgumentParser:
     take.add_argument("--seeds", type=int, nargs="+", help="of the tests; drawn anew and printed unless given")
     take.add_argument("--seconds", type=int, default=120, help="limit for a submission, its training apart")
     take.add_argument("--memory", type=int, default=8, help="limit for a submission [GiB]")
+    take.add_argument("--only", default="", metavar="WORD", help="only tests with this in their name")
     take.add_argument("--no-training", action="store_true", help="leave out tests that train a robot")
 
     tune = commands.add_parser("threshold", help="train the model solution on five seeds and print what it reaches")

@@ -21,8 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from course.assignment import HERE, Assignment
-from course.release import BEGIN
-from course.submission import ENTRY, Rejected, copy_submission, find_root, find_submissions
+from course.submission import Rejected, copy_submission, find_root, find_submissions, put_back
 
 MAX_FILE = 64 * 2**20  # bytes that a submission may write into one file, its captured output included
 
@@ -95,22 +94,21 @@ def _run(command: list[str], cwd: Path, env: dict, seconds: float, memory: int) 
 
 def grade(assignment: Assignment, student: str, source: Path, options: argparse.Namespace) -> tuple[Grade, str]:
     """Grade one submission; return the grade and pytest's JUnit file, empty if pytest did not get that far."""
-    worth = assignment.points
+    worth = {
+        test: points
+        for test, points in assignment.points.items()
+        if options.only in test and not (options.no_training and test.startswith("test_training"))
+    }
     with tempfile.TemporaryDirectory(prefix="course-", ignore_cleanup_errors=True) as scratch:
         work = Path(scratch)
-        if options.no_training:
-            worth = {test: points for test, points in worth.items() if not test.startswith("test_training")}
         result = Grade(student, worth)
         try:
             copy_submission(source, work / "submission")
             root = find_root(work / "submission", assignment)
+            put_back(root, assignment)
         except Rejected as reason:
             result.note = one_line(str(reason))
             return result, ""
-        for path, text in assignment.sources.items():
-            if BEGIN not in text and path.name != ENTRY:  # what there was nothing to write in is put back
-                (root / path).parent.mkdir(parents=True, exist_ok=True)
-                (root / path).write_text(text, encoding="utf-8")
         (work / "tests").mkdir()
         for path in assignment.tests(hidden=True):
             name = "conftest.py" if path.name == "conftest_for_students.py" else path.name
@@ -127,6 +125,8 @@ def grade(assignment: Assignment, student: str, source: Path, options: argparse.
         ]  # fmt: skip
         if options.no_training:
             command += ["-m", "not training"]
+        if options.only:
+            command += ["-k", options.only]
         seconds = options.seconds + (0 if options.no_training else assignment.training.get("seconds", 0))
         death = _run(command, root, env, seconds, options.memory)
         _add_up(result, _read(report), death)

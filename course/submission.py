@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 
 from agility_ref.errors import UserError
 from course.assignment import Assignment
+from course.release import BEGIN
 
 MAX_BYTES = 100_000_000
 MAX_FILES = 2000
@@ -53,8 +54,10 @@ def copy_submission(source: Path, target: Path) -> None:
     """
     target.mkdir()
     if source.is_dir():
-        _copy_folder(source, target)
-        return
+        try:
+            return _copy_folder(source, target)
+        except OSError as error:
+            raise Rejected(f"cannot be read ({error})") from None
     try:
         with zipfile.ZipFile(source) as archive:
             members = archive.infolist()
@@ -72,7 +75,7 @@ def copy_submission(source: Path, target: Path) -> None:
 def _copy_folder(source: Path, target: Path) -> None:
     files = total = 0
     for folder, folders, names in os.walk(source):
-        folders[:] = [name for name in folders if name not in (".git", ".venv", "__pycache__")]
+        folders[:] = [name for name in folders if name not in (".git", ".venv", "venv", "__pycache__")]
         here = target / Path(folder).relative_to(source)
         here.mkdir(exist_ok=True)
         for name in names:
@@ -87,7 +90,7 @@ def _copy_folder(source: Path, target: Path) -> None:
 
 
 def find_root(folder: Path, assignment: Assignment) -> Path:
-    """Return the folder of ``adapters.py`` in a copied submission, after a look at all its Python files.
+    """Return the folder of ``adapters.py`` in a copied submission, after a look at its Python files.
 
     Raises
     ------
@@ -103,7 +106,7 @@ def find_root(folder: Path, assignment: Assignment) -> Path:
     if len(entries) > 1 and len(entries[0].parts) == len(entries[1].parts):
         raise Rejected(f"{ENTRY} is there {len(entries)} times: hand in one folder")
     root = entries[0].parent
-    for path in sorted(root.rglob("*.py")):
+    for path in [entries[0], *sorted(p for p in files if root / assignment.name in p.parents and p.suffix == ".py")]:
         try:
             tree = ast.parse(path.read_bytes())
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -114,6 +117,24 @@ def find_root(folder: Path, assignment: Assignment) -> Path:
             if own != assignment.name:
                 raise Rejected(f"these are files of {own or 'no assignment'}, not of {assignment.name}")
     return root
+
+
+def put_back(root: Path, assignment: Assignment) -> None:
+    """Write the files in which there was nothing to complete as they were released.
+
+    Raises
+    ------
+    Rejected : the submission has a folder where a file belongs, or the other way round
+    """
+    for path, text in assignment.sources.items():
+        if BEGIN not in text and path.name != ENTRY:
+            try:
+                (root / path).parent.mkdir(parents=True, exist_ok=True)
+                (root / path).write_text(text, encoding="utf-8")
+            except OSError:
+                raise Rejected(
+                    f"{path} is no file, or its folder no folder: keep the layout that was released"
+                ) from None
 
 
 def _assignment_of(tree: ast.Module) -> str | None:

@@ -22,7 +22,7 @@ project = "agility_ref"
 author = "the agility_ref authors"
 version = release = agility_ref.__version__
 extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "jupyter_execute"]
 html_theme = "pydata_sphinx_theme"
 html_title = "agility_ref"
 html_static_path: list[str] = []
@@ -32,11 +32,11 @@ html_show_sourcelink = False
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3  # as GitHub makes them, so that links to a heading work in both places
 nb_execution_mode = "off"
-suppress_warnings = ["myst.header"]  # a tutorial's cells may begin below the first level
+suppress_warnings = ["myst.header", "toc.empty_glob"]  # a tutorial's cells may begin below the first level
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
-autodoc_default_options = {"members": True, "undoc-members": False, "show-inheritance": False}
+autodoc_default_options = {"members": True}
 autodoc_mock_imports = [
     name
     for name in ("gymnasium", "viser", "imageio_ffmpeg", "onnx", "onnxruntime")
@@ -114,8 +114,9 @@ def skip_alias(app, what, name, obj, skip, options) -> bool | None:
 
 
 def link_names(app, docname, source) -> None:
-    """Link names such as `agility_ref.ppo.gae` in the pages to their place in the API."""
+    """Link names such as `agility_ref.ppo.gae` to their place in the API, and pages outside docs/ as files."""
     if not docname.startswith(("api/", "tutorials/")):
+        source[0] = re.sub(r"\[([^\]]+)\]\((\.\./[^)#]+\.md)(#[^)]*)?\)", r"{download}`\1 <\2>`", source[0])
         source[0] = re.sub(r"`agility_ref\.([\w.]+)`", r"{py:obj}`\1 <agility_ref.\1>`", source[0])
 
 

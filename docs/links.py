@@ -26,7 +26,10 @@ class Page(HTMLParser):
 
 def broken_links(site: Path) -> list[str]:
     """Return a line per internal link of a folder of HTML pages that leads nowhere."""
-    pages = {path.resolve(): Page(path) for path in sorted(site.rglob("*.html"))}
+    own = (
+        path for path in sorted(site.rglob("*.html")) if "_static" not in path.parts
+    )  # there lie the theme's templates
+    pages = {path.resolve(): Page(path) for path in own}
     broken = []
     for path, page in pages.items():
         for target in sorted(page.targets):

@@ -13,8 +13,10 @@ with suppress(UserError):  # tests that need OpenGL are skipped without
 
 from agility_ref.env import ACTION_DIM
 from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOT_MIRROR, SCANDOTS, Mirror
+from agility_ref.pictures.record import Episode
 from agility_ref.policy import Policy, write_npz
 from agility_ref.ppo import Learner, PPOConfig
+from agility_ref.terrain import Course
 from agility_ref.training.state import learner_state, policy_arrays
 
 import numpy as np
@@ -55,6 +57,27 @@ def finished_run():
         write_npz(folder / "policy.npz", random_arrays(sum(map(ord, name)), obs_dim, act_dim, gain), meta)
         (folder / "DONE").write_text(f"{steps} steps\n")
         return folder
+
+    return make
+
+
+@pytest.fixture
+def make_episode():
+    """Return a function that makes a recorded episode by hand, from x [m], vx [m/s] and skills of every step."""
+
+    def make(x, skill, wanted, vx=0.0, course=None, obstacles=(), reached=0, skills=SKILLS, name="p"):
+        x, steps = np.asarray(x, float), len(x)
+        qpos, qvel = np.zeros((steps, 19)), np.zeros((steps, 18))
+        qpos[:, 0], qvel[:, 0] = x, vx
+        course = course or Course("gap", 0.5, (), tuple(obstacles), np.zeros((8, 2)))
+        feet, joints = np.zeros((steps, 4), bool), np.zeros((steps, 12))
+        return Episode(
+            policy=name, environment=course.kind, course=course, dt=0.02, command=0.8, fell=False, reached=reached,
+            qpos=qpos, qvel=qvel, foot_pos=np.zeros((steps, 4, 3)), foot_contact=feet, foot_on_edge=feet,
+            body_contact=np.zeros((steps, 9), bool), torque=joints, target=joints, waypoint_index=np.zeros(steps, int),
+            heading_error=np.zeros(steps), reward_terms={}, skills=tuple(skills),
+            skill=np.asarray(skill), wanted=np.asarray(wanted),
+        )  # fmt: skip
 
     return make
 

@@ -5,6 +5,8 @@ import types
 import warnings
 from dataclasses import replace
 
+import agility_ref
+
 import numpy as np
 import pytest
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig
-from agility_ref.results import table1, table_output
+from agility_ref.results import table1
 from agility_ref.results.cells import enter, find_cell
 from agility_ref.training.bank import WeightsConfig
 
@@ -37,4 +37,4 @@ if __name__ == "__main__":
             found = find_cell(enter(policy, training), environment, config, args.results / "cells", refuse)
             cells[policy, environment, seed] = found
     rows = table1.table_rows(cells)
-    table_output.write_all(rows, args.results, table_output.title(config, rows))
+    table1.write_all(rows, args.results, table1.title(config, rows))

@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+from agility_ref.cli.commands import Environment, File, Folder, Policy, Preset
 from agility_ref.errors import UserError
 
 import tyro
@@ -10,26 +12,31 @@ import tyro
 
 @dataclass(frozen=True)
 class Export:
-    """Write a policy as ONNX, TorchScript or plain arrays, its normaliser and its bounds included."""
+    """Write a policy as ONNX, TorchScript or plain arrays, its normaliser and its bounds included.
 
-    policy: tyro.conf.Positional[str]
+    For example:
+        agility-ref export climb --out climb.onnx
+        agility-ref export leap --format npz
+    """
+
+    policy: tyro.conf.Positional[Policy]
     """A name of `agility-ref list`, or the .npz file of a run.  Of a selector, the network that chooses."""
-    format: str = "onnx"
+    format: Annotated[str, tyro.conf.arg(metavar="FORMAT")] = "onnx"
     """onnx, npz or torchscript."""
-    out: str = ""
+    out: File = ""
     """The file; by default <policy>.onnx, <policy>.npz or <policy>.pt."""
-    preset: str = "full"
+    preset: Preset = "full"
     """quick (d up to 0.4, small budgets) or full (d up to 1)."""
     train_seed: int = 0
     """Training seed of the weights."""
-    runs: str = ""
+    runs: Folder = ""
     """Folder of runs to look in before the shipped weights; runs/<preset> by default."""
 
 
 def export(args: Export) -> None:
     """Export one policy."""
     from agility_ref.errors import unknown_name
-    from agility_ref.policy import Policy
+    from agility_ref.policy import Policy as NumpyPolicy
     from agility_ref.training.bank import WeightsConfig, existing, weights_path
     from agility_ref.training.export import FORMS, SUFFIXES, export_policy
     from agility_ref.training.policies import find_policy
@@ -43,7 +50,7 @@ def export(args: Export) -> None:
             raise UserError(f"oracle has no network of its own; export its skills: {' '.join(spec.skills)}")
         config = WeightsConfig(preset=args.preset, seed=args.train_seed, out=existing(args.runs))
         path = weights_path(args.policy, config)
-    policy = Policy.load(path)
+    policy = NumpyPolicy.load(path)
     out = Path(args.out or f"{policy.name}{SUFFIXES[args.format]}")
     if out.resolve() == path.resolve():
         raise UserError(f"{out} is the policy itself: give another --out")
@@ -53,15 +60,20 @@ def export(args: Export) -> None:
 
 @dataclass(frozen=True)
 class ExportMJCF:
-    """Write the robot on a course as one MJCF file, which MuJoCo's own viewer opens."""
+    """Write the robot on a course as one MJCF file, which MuJoCo's own viewer opens.
 
-    environment: str = "climb"
+    For example:
+        agility-ref export-mjcf --environment climb
+        agility-ref export-mjcf --environment gap --difficulty 0.8 --out gap.xml
+    """
+
+    environment: Environment = "climb"
     """climb-gap, gap, beam, climb, walk, climb-up or climb-down."""
     difficulty: float = 0.5
     """d; 0 to 1, down to -0.2 on steps and to -1 on beams."""
     seed: int = 0
     """Of the course."""
-    out: str = ""
+    out: File = ""
     """The file; <environment>.xml by default."""
 
 

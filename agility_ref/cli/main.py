@@ -1,223 +1,115 @@
-"""The command line: ``agility-ref train | evaluate | table1 | diagnose | plot | video | watch | export | list``.
+"""The command line: ``agility-ref COMMAND``, one plain function and one frozen dataclass per command.
 
-Every hyper-parameter is a flag, because every configuration is a frozen dataclass that
-tyro reads; the help text is the docstring of the field.  A mistake of the user prints one
-line and exits with status 2.
+tyro reads the dataclass: a field is a flag, its docstring the help, the class docstring the
+description with two examples.  ``--help`` shows the flags that people use first; a command whose
+``more`` names a configuration has its other fields as flags too, which ``--help-all`` shows.
+That one is imported only then, or to run, so that ``--help`` waits for neither torch nor mujoco.
+
+In:  words typed in a shell.  Out: text, files, exit status 0, 1 (the reader left) or 2 (a mistake, in one line).
 """
 
 import errno
 import io
-import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from inspect import cleandoc
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple, Union
 
-from agility_ref.cli.diagnose import diagnose
-from agility_ref.cli.export import Export, ExportMJCF, export, export_mjcf
-from agility_ref.cli.pictures import plot, video, watch
+from agility_ref import __version__
+from agility_ref.cli import commands, export, pictures
 from agility_ref.errors import UserError, unknown_name
 
 import tyro
 
-USAGE = """usage: agility-ref COMMAND [--help]
+PROGRAM = "agility-ref"
+ABOUT = """One generalist policy or a bank of specialists for a simulated Unitree Go1.
 
-  train POLICY                       train a policy (and what it needs)
-  evaluate POLICY --environment E    the four metrics of Table 1
-  table1                             all 43 cells beside the paper's, and its findings
-  diagnose SELECTOR                  its choices against the oracle's: accuracy, flicker, regret
-  plot KIND                          curves, strobe, oracle-map, episode, courses, skills, framework
-  video POLICY --environment E       an episode as WebP, GIF or MP4
-  watch POLICY --environment E       a live view in the browser
-  export POLICY                      as ONNX, TorchScript or plain arrays
-  export-mjcf --environment E        robot and course as one MJCF file
-  list                               policies, environments, presets, weights
-"""
+`agility-ref COMMAND --help` shows the flags used first and two examples, `--help-all` every flag,
+`--version` the version, `--tyro-print-completion bash` (or zsh, tcsh) a script for your shell."""
 
 
-def train(argv: list[str]) -> None:
-    """Train one policy."""
-    from agility_ref.pictures.plots import learning_curve
-    from agility_ref.training.runs import TrainConfig, train_policy
+class Command(NamedTuple):
+    """What runs, and what it is told."""
 
-    @dataclass(frozen=True)
-    class Train:
-        """Train a policy, and first whatever it needs: its warm start, its skills."""
-
-        policy: tyro.conf.Positional[str]
-        """See `agility-ref list`."""
-        config: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
-
-    args = tyro.cli(Train, args=argv, prog="agility-ref train")
-    print(f"done: {train_policy(args.policy, args.config, draw=learning_curve)}")
+    run: Callable[[Any], None]
+    options: type  # Frozen dataclass of the flags used first.
+    more: Callable[[], type] | None = None  # Returns a dataclass whose further fields are flags too.
 
 
-def evaluate(argv: list[str]) -> None:
-    """Evaluate one policy on one environment."""
-    from agility_ref.evaluate import METRICS, EvaluationConfig, evaluation_world
-    from agility_ref.results.cells import acting_policies
-    from agility_ref.results.published import evaluate_by_protocol
-    from agility_ref.training.bank import WeightsConfig, existing, load_policy, weights_path
-
-    @dataclass(frozen=True)
-    class Evaluate:
-        """Play complete episodes with the deterministic policy; noise and pushes on."""
-
-        policy: tyro.conf.Positional[str]
-        """See `agility-ref list`."""
-        environment: str
-        """climb-gap, gap, beam or climb; or a training course: walk, climb-up, climb-down."""
-        config: Annotated[EvaluationConfig, tyro.conf.arg(name="")] = field(default_factory=EvaluationConfig)
-        train_seed: int = 0
-        """Training seed of the weights."""
-        runs: str = ""
-        """Folder of runs to look in before the shipped weights; runs/<preset> by default."""
-        json: bool = False
-        """Print one JSON object."""
-
-    args = tyro.cli(Evaluate, args=argv, prog="agility-ref evaluate")
-    evaluation_world(args.environment, args.config)  # named before the weights are looked for
-    training = WeightsConfig(preset=args.config.preset, seed=args.train_seed, out=existing(args.runs))
-    policy = load_policy(args.policy, training)
-    acting = {name: str(weights_path(name, training)) for name in acting_policies(args.policy)}
-    summary = evaluate_by_protocol(policy, args.environment, args.config).summary() | {"weights": acting}
-    if args.json:
-        print(json.dumps(summary, allow_nan=False))
-        return
-    print(f"{args.policy} on {args.environment}: {summary['episodes']} episodes, {summary['environment_steps']} steps")
-    for metric in METRICS:
-        mean, std = summary[metric].values()
-        print(f"  {metric:18} {mean:8.3f} ± {'-' if std is None else f'{std:.3f}'}")
-    print(f"  {'falls':18} {summary['falls']:8.3f}")
-    for path in acting.values():
-        print(f"  weights {path}")
+PLOTS = {
+    "curves": Command(pictures.plot_curves, pictures.Curves),
+    "strobe": Command(pictures.plot_strobe, pictures.Strobe),
+    "oracle-map": Command(pictures.plot_oracle_map, pictures.OracleMap),
+    "episode": Command(pictures.plot_episode, pictures.Panel),
+    "courses": Command(pictures.plot_courses, pictures.Courses),
+    "skills": Command(pictures.plot_skills, pictures.Skills),
+    "run": Command(pictures.plot_run, pictures.Run),
+}
+COMMANDS: dict[str, Command | dict[str, Command]] = {
+    "watch": Command(pictures.watch, pictures.Watch),
+    "table1": Command(commands.table1, commands.Table1, commands.evaluation_flags),
+    "train": Command(commands.train, commands.Train, commands.train_flags),
+    "evaluate": Command(commands.evaluate, commands.Evaluate, commands.evaluation_flags),
+    "diagnose": Command(commands.diagnose, commands.Diagnose, commands.evaluation_flags),
+    "plot": PLOTS,
+    "video": Command(pictures.video, pictures.Video, pictures.video_flags),
+    "export": Command(export.export, export.Export),
+    "export-mjcf": Command(export.export_mjcf, export.ExportMJCF),
+    "list": Command(commands.list_names, commands.List),
+}
+GROUPS = {"plot": "Draw a picture as PNG and SVG; KIND is one of those below."}
 
 
-def table1(argv: list[str]) -> None:
-    """Compute Table 1, and what it says about the paper's findings."""
-    from agility_ref.evaluate import EvaluationConfig, check_evaluation
-    from agility_ref.files import remove_partials
-    from agility_ref.results import findings, table1, table_output
-    from agility_ref.training.bank import WeightsConfig, existing
-    from agility_ref.training.lock import locked
-    from agility_ref.training.policies import find_policy
-
-    @dataclass(frozen=True)
-    class Table1:
-        """Evaluate every policy on every terrain and print the table beside the paper's.
-
-        Cells are stored as they are played: an interrupted table goes on where it was.
-        """
-
-        # Seed 1: the recipe was chosen on the courses of seed 0.
-        config: Annotated[EvaluationConfig, tyro.conf.arg(name="")] = field(
-            default_factory=lambda: EvaluationConfig(seed=1)
-        )
-        seeds: tuple[str, ...] = ("0",)
-        """Training seeds of the weights: 0, or 0 1 2, or all for every seed that has weights."""
-        train: bool = False
-        """Train every policy first, from scratch; finished runs in --runs are kept."""
-        findings: bool = False
-        """Also check each finding of the paper; writes findings.md."""
-        compare: tuple[str, ...] = ()
-        """Two policies or more: waypoint fraction of the first minus that of each other one, on paired episodes."""
-        ablations: str = ""
-        """Ablations for the findings, where measured; benchmarks/results/ablations-<preset>.csv by default."""
-        runs: str = ""
-        """Folder of runs to look in before the shipped weights, and to train into; runs/<preset> by default."""
-        results: str = "results"
-        """Folder for table1.csv, .md, .tex and .png, and for the cells behind them."""
-
-    args = tyro.cli(Table1, args=argv, prog="agility-ref table1")
-    seeds, config, results = table1.parse_seeds(args.seeds), args.config, Path(args.results)
-    if args.train and seeds is None:
-        raise UserError("--train needs the numbers of the seeds: all are those that have weights already")
-    if (args.findings or args.compare) and config.protocol != "complete":
-        raise UserError(f"findings compare episode by episode: --protocol complete, not {config.protocol}")
-    if len(args.compare) == 1:
-        raise UserError(f"--compare needs two policies or more, not {args.compare[0]} alone")
-    for name in args.compare:
-        find_policy(name)
-    if args.ablations and not Path(args.ablations).is_file():
-        raise UserError(f"no file of ablations at {args.ablations}")
-    training = WeightsConfig(preset=config.preset, out=args.runs if args.train else existing(args.runs))
-    check_evaluation(config)
-    for seed in seeds if args.train else ():
-        table1.train_all(replace(training, seed=seed))
-
-    def on_play(policy: str, environment: str, seed: int) -> None:
-        line = f"evaluating {policy} on {environment}, training seed {seed}"
-        print(f"\r{line:70}", end="", file=sys.stderr, flush=True)
-
-    clear = f"\r{'':70}\r"
-    try:
-        with locked(results):
-            remove_partials(results / "cells")
-            cells, missing = table1.compute(config, training, results / "cells", seeds, on_play)
-            print(clear, end="", file=sys.stderr)
-            if not cells:
-                raise UserError(f"not one cell to fill, {results} is left as it is: {missing[0]}")
-            rows = table1.table_rows(cells)
-            # Files first: a terminal may fail.
-            paths = table_output.write_all(rows, results, table_output.title(config, rows))
-    except KeyboardInterrupt:
-        print(clear, end="", file=sys.stderr)
-        raise KeyboardInterrupt(f"interrupted; the same command goes on from {results / 'cells'}") from None
-    print(table_output.text(rows))
-    for line in missing:
-        print(f"missing: {line}")
-    filled = [sum(row.ours is not None for row in rows if (row.paper is None) == extra) for extra in (False, True)]
-    extra = sum(row.paper is None for row in rows)
-    print(
-        f"{filled[0]} of {len(rows) - extra} cells filled, and {filled[1]} of {extra} beyond the paper; "
-        f"mean ± std over episodes; wrote {', '.join(map(str, paths))}"
-    )
-    for comparison in findings.compare(cells, args.compare):
-        print(f"{comparison.text:40} {comparison!s:24} {comparison.seeds} seeds")
-    if args.findings:
-        ablations = args.ablations or f"benchmarks/results/ablations-{config.preset}.csv"
-        checked = findings.check(cells, training, Path(ablations))
-        path = findings.write(checked, results, table_output.title(config, rows))
-        print(f"\n{findings.text(checked)}\n\nwrote {path}")
+RENDERING = (pictures.video,)  # what draws with OpenGL
 
 
-def list_names(argv: list[str]) -> None:
-    """Print what there is."""
-    from agility_ref.curriculum import PRESETS
-    from agility_ref.training.policies import ALIASES, ENVIRONMENTS, POLICIES
-    from agility_ref.training.weights import shipped_seeds
-
-    @dataclass(frozen=True)
-    class List:
-        """Print the policies with their courses, budgets and shipped weights, the environments and the presets."""
-
-    tyro.cli(List, args=argv, prog="agility-ref list")
-
-    print(f"environments: {' '.join(ENVIRONMENTS)}\npresets: {' '.join(PRESETS)}\n")
-    print(f"{'policy':16}{'trains on':58}{'quick':>8}{'full':>8}  weights shipped (preset: seeds)")
-    for spec in POLICIES.values():
-        shipped = [
-            f"{preset}: {' '.join(map(str, seeds))}"
-            for preset in PRESETS
-            if (seeds := shipped_seeds(preset, spec.name))
-        ]
-        budgets = "".join(f"{b / 1e6:7.1f}M" if b else f"{'-':>8}" for b in spec.budget)
-        print(f"{spec.name:16}{' '.join(spec.courses) or '-':58}{budgets}  {', '.join(shipped) or '-'}")
-    print("\n" + ", ".join(f"{alias} is {name}" for alias, name in ALIASES.items()))
+def options_of(command: Command, every: bool) -> type:
+    """Return the dataclass of a command's flags; of ``every`` one, or of those used first."""
+    if not every or command.more is None:
+        return command.options
+    mixed = type(command.options.__name__, (command.options, command.more()), {"__doc__": command.options.__doc__})
+    return dataclass(frozen=True, kw_only=True)(mixed)
 
 
-COMMANDS = {
-    "train": train, "evaluate": evaluate, "table1": table1, "diagnose": diagnose, "plot": plot,
-    "video": video, "watch": watch, "list": list_names,
-    "export": lambda argv: export(tyro.cli(Export, args=argv, prog="agility-ref export")),
-    "export-mjcf": lambda argv: export_mjcf(tyro.cli(ExportMJCF, args=argv, prog="agility-ref export-mjcf")),
-}  # fmt: skip
+def union(commands_: dict[str, Command | dict[str, Command]], chosen: Command | None, every: bool) -> Any:
+    """Return the type that tyro parses: one member per command, described at length if it is chosen."""
+    members = []
+    for name, entry in commands_.items():
+        if isinstance(entry, dict):
+            inner = tyro.conf.OmitSubcommandPrefixes[union(entry, chosen, every)]
+            options, about = dataclass(type("Group", (), {"__annotations__": {"kind": inner}})), GROUPS[name]
+        else:
+            options = options_of(entry, every and entry is chosen)
+            about = cleandoc(options.__doc__) if entry is chosen else options.__doc__.partition("\n")[0]
+        members.append(Annotated[options, tyro.conf.subcommand(name, description=about)])
+    return Union[tuple(members)]  # noqa: UP007 - the members are made here
 
 
-RENDERING = ("video",)  # the commands that draw with OpenGL
+def parse(words: list[str]) -> tuple[Command, Any]:
+    """Return the command and its options; prints help, and leaves, where that is asked for.
+
+    Raises
+    ------
+    UserError : no such command
+    """
+    found, program, about = COMMANDS, PROGRAM, ABOUT
+    if words[:1] == ["plot"]:
+        found, program, about, words = PLOTS, f"{PROGRAM} plot", GROUPS["plot"], words[1:]
+        if words and words[0] not in PLOTS and not words[0].startswith("-"):
+            if not (Path(words[0]) / "progress.csv").is_file():
+                raise UserError(f"{words[0]} is no picture ({', '.join(PLOTS)}) and holds no progress.csv")
+            words = ["run", *words]  # a run folder needs no kind
+    words = words or ["--help"]
+    command = found.get(words[0])
+    if command is None and not words[0].startswith("-"):
+        raise unknown_name("command", words[0], found)
+    every = not {"-h", "--help"} & set(words)
+    words = ["--help" if word == "--help-all" else word for word in words]
+    return command, tyro.cli(union(found, command, every), args=words, prog=program, description=about)
 
 
 def prepare_streams() -> None:
@@ -249,20 +141,21 @@ def no_graphics(needed: bool) -> Iterator[None]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; return the exit status."""
+    """Run the command line; return the exit status."""
     prepare_streams()
-    argv = sys.argv[1:] if argv is None else argv
-    if not argv or argv[0] in ("-h", "--help"):
-        print(USAGE)
-        return 0 if argv else 2
+    commands.TYPED[:] = argv = sys.argv[1:] if argv is None else argv
+    if argv == ["--version"]:
+        print(f"{PROGRAM} {__version__}")
+        return 0
     try:
-        if argv[0] not in COMMANDS:
-            raise unknown_name("command", argv[0], COMMANDS)
-        with no_graphics(needed=argv[0] in RENDERING):
-            COMMANDS[argv[0]](argv[1:])
+        command, options = parse(argv)
+        with no_graphics(needed=command.run in RENDERING):
+            command.run(options)
         sys.stdout.flush()
+    except SystemExit as done:  # tyro has printed the help, or what is wrong with a flag
+        return (done.code or 0) if argv else 2
     except UserError as error:
-        print(f"agility-ref: {error}", file=sys.stderr)
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader of our output, `head` for one, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -271,9 +164,9 @@ def main(argv: list[str] | None = None) -> int:
         if error.filename is None and error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
         where = f"{error.filename}: " if error.filename else ""
-        print(f"agility-ref: {where}{error.strerror}", file=sys.stderr)  # cannot be read or written, or a full disk
+        print(f"{PROGRAM}: {where}{error.strerror}", file=sys.stderr)  # cannot be read or written, or a full disk
         return 2
     except KeyboardInterrupt as stopped:
-        print(f"agility-ref: {str(stopped) or 'interrupted'}", file=sys.stderr)
+        print(f"{PROGRAM}: {str(stopped) or 'interrupted'}", file=sys.stderr)
         return 130
     return 0

@@ -14,9 +14,8 @@ from itertools import pairwise
 
 from agility_ref.errors import UserError
 from agility_ref.go1 import DOF_RANGE, FOOT_RADIUS, LEGS, TORQUE_LIMITS
-from agility_ref.pictures.plots import BLUE, ORANGE, RED, empty_figure, style
-from agility_ref.pictures.record import Episode
-from agility_ref.pictures.scene import LEG_COLOURS
+from agility_ref.pictures.plots import BLUE, LEG_COLOURS, ORANGE, RED, empty_figure, style
+from agility_ref.pictures.record import Episode, side_by_side
 from agility_ref.terrain import NUM_WAYPOINTS, Course
 from agility_ref.world import World
 
@@ -27,16 +26,13 @@ import numpy as np
 class Gait:
     """How robots walked, over all their counted steps."""
 
-    contact_share: np.ndarray
-    """(4,) share of the steps in which each foot stood."""
+    contact_share: np.ndarray  # (4,) share of the steps in which each foot stood.
     swing_clearance: np.ndarray
     """(4,) height of the top of a swing over the ground, mean over swings [m]; NaN for a foot without any."""
     swings_per_second: np.ndarray
     """(4,) how often each foot was lifted and put down [1/s]; a fluttering foot is far above the others."""
-    torque_share: float
-    """Largest joint torque as a share of its limit."""
-    body_share: float
-    """Share of the steps in which trunk, a thigh or a calf touched the ground."""
+    torque_share: float  # Largest joint torque as a share of its limit.
+    body_share: float  # Share of the steps in which trunk, a thigh or a calf touched the ground.
 
 
 # ---------------------------------------------------------------------------- arrays
@@ -59,7 +55,7 @@ def swing_peaks(contact: np.ndarray, clearance: np.ndarray, counted: np.ndarray)
 
     Returns
     -------
-    four arrays, one a foot, with one entry a swing of any robot [m]
+    four arrays, one per foot, with one entry per swing of any robot [m]
     """
     peaks: list[list[float]] = [[], [], [], []]
     for robot in range(contact.shape[1]):
@@ -81,14 +77,6 @@ def foot_clearance(foot_pos: np.ndarray, course: Course) -> np.ndarray:
 # ---------------------------------------------------------------------------- episodes
 
 
-def _side_by_side(arrays: list[np.ndarray], length: int) -> np.ndarray:
-    """Pad arrays (T_n, ...) with zeros to (length, N, ...)."""
-    padded = np.zeros((length, len(arrays), *arrays[0].shape[1:]), arrays[0].dtype)
-    for n, array in enumerate(arrays):
-        padded[: len(array), n] = array
-    return padded
-
-
 def measure(episodes: list[Episode], settle: float = 2.0) -> Gait:
     """Measure the gait of episodes after ``settle`` seconds, the torques from the first step on.
 
@@ -101,9 +89,10 @@ def measure(episodes: list[Episode], settle: float = 2.0) -> Gait:
     counted = np.stack([(np.arange(length) >= first) & (np.arange(length) < len(e)) for e in episodes], axis=1)
     if not counted.any():
         raise ValueError(f"no episode lasts {settle} s")
-    contact = _side_by_side([e.foot_contact for e in episodes], length)
-    clearance = _side_by_side([foot_clearance(e.foot_pos, e.course) for e in episodes], length)
-    body = _side_by_side([e.body_contact.any(axis=1) for e in episodes], length)
+    contact, body = side_by_side(episodes, "foot_contact"), side_by_side(episodes, "body_contact").any(axis=2)
+    clearance = np.zeros(contact.shape)
+    for n, e in enumerate(episodes):
+        clearance[: len(e), n] = foot_clearance(e.foot_pos, e.course)
     peaks = swing_peaks(contact, clearance, counted)
     seconds = counted.sum() * episodes[0].dt
     return Gait(
@@ -192,7 +181,7 @@ def _draw_progress(axis, episode: Episode) -> None:
 
 
 def _draw_rewards(axis, episode: Episode) -> None:
-    """One row a term, each on its own scale; what it summed to stands on the right."""
+    """One row per term, each on its own scale; what it summed to stands on the right."""
     names = sorted(episode.reward_terms, key=lambda name: -episode.reward_terms[name].sum())
     rows = np.stack([episode.reward_terms[name] for name in names])
     width = max(round(0.1 / episode.dt), 1)  # steps averaged in one cell of the picture, 0.1 s

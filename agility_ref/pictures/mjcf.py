@@ -6,17 +6,17 @@ material for each colour and a camera that tracks the trunk.
 In:  a :class:`~agility_ref.terrain.Course`.  Out: a file that ``mujoco.MjModel.from_xml_path`` reads.
 """
 
-import os
 from pathlib import Path
 
 from agility_ref.errors import UserError
+from agility_ref.files import write_text
 from agility_ref.pictures import scene
 from agility_ref.terrain import Course
 
 import mujoco
 
 NAMES = {
-    scene.SIDE: "side", scene.METRE: "metre", scene.PIT: "pit", scene.EDGE_COLOUR: "edge", "#FFFFFF": "white",
+    scene.SIDE: "side", scene.METRE: "metre", scene.PIT: "pit", scene.RED: "edge", "#FFFFFF": "white",
     scene.WAYPOINT_COLOURS["ahead"]: "waypoint", scene.BODY: "shell", scene.DARK: "motor", scene.RUBBER: "rubber",
     "#808080": "collision", **{colour: f"leg_{leg}" for leg, colour in scene.LEG_COLOURS.items()},
 }  # fmt: skip
@@ -33,12 +33,7 @@ def write_mjcf(course: Course, out: Path) -> None:
     out = Path(out)
     if not out.parent.is_dir():
         raise UserError(f"no folder {out.parent} to write {out.name} into")
-    partial = out.with_name(f"partial-{out.name}")
-    try:
-        partial.write_text(mjcf(course), encoding="utf-8")
-        os.replace(partial, out)
-    finally:
-        partial.unlink(missing_ok=True)
+    write_text(out, mjcf(course))
 
 
 def mjcf(course: Course) -> str:

@@ -18,12 +18,15 @@ from agility_ref.training.progress import read_progress
 
 import numpy as np
 
-BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"  # Okabe and Ito
+# Okabe and Ito, for whatever is neither a leg nor a skill.
+BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
 SKY, GREY = "#56B4E9", "#8A8A8A"
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED, "#000000")
+# Right legs are warm, left legs cool; the front pair is the darker one.
+LEG_COLOURS = {"FR": ORANGE, "FL": BLUE, "RR": "#F0E442", "RL": SKY}
 SKILL_COLOURS = {  # Tol's "muted" scheme, so that no skill looks like a leg or a violation
     "walk": "#BDBDBD", "climb-up": "#44AA99", "climb-down": "#882255",
-    "leap": "#DDCC77", "beam": "#117733", "climb": "#AA4499",
+    "leap": "#DDCC77", "beam": "#117733", "climb": "#332288",
 }  # fmt: skip
 
 STYLE = {  # matplotlib rc settings: readable when a page shows the figure at half its size
@@ -80,7 +83,6 @@ def style():
 
 def empty_figure(size: tuple[float, float]):
     """Return a figure of this size [inch] without axes and without touching any display."""
-    import_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -96,60 +98,28 @@ def new_figure(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
+def skill_legend(figure, names) -> None:
+    """Add a legend of skills below a figure."""
+    from matplotlib.patches import Patch
+
+    items = [Patch(color=skill_colour(name), label=name) for name in names]
+    figure.legend(handles=items, loc="outside lower center", ncols=6)
+
+
 def save_figure(figure, out: Path, command: str) -> list[Path]:
     """Write ``out`` as PNG and as SVG, with the command and the versions in the metadata."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from PIL import PngImagePlugin
-
+    import_matplotlib()
     command = command.encode(errors="replace").decode()  # a folder's name need not be text
-    made = {"Software": made_with(), "Description": command}
-    out = Path(out)
+    made, out = made_with(), Path(out)
     out.parent.mkdir(parents=True, exist_ok=True)
     paths = [out.with_suffix(".png"), out.with_suffix(".svg")]
-    with style(), replacing(paths[0]) as png, replacing(paths[1]) as svg:
-        figure.set_dpi(STYLE["savefig.dpi"])  # each canvas draws once, where Figure.savefig would draw twice
-        canvas = FigureCanvasAgg(figure)
-        canvas.draw()
-        pixels = np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
-        figure.set_layout_engine("none")  # the PNG's layout is the SVG's
-        tags = {"Creator": made["Software"], "Description": command, "Date": None}
-        FigureCanvasSVG(figure).print_svg(svg, metadata=tags)
-        info = PngImagePlugin.PngInfo()
-        for key, text in made.items():
-            info.add_itxt(key, text)
-        paletted(pixels).save(png, format="PNG", pnginfo=info, optimize=True)
+    tags = [{"Software": made, "Description": command}, {"Creator": made, "Description": command, "Date": None}]
+    with style():
+        for path, metadata in zip(paths, tags, strict=True):
+            with replacing(path) as file:
+                figure.savefig(file, format=path.suffix[1:], metadata=metadata)
+            figure.set_layout_engine("none")  # the PNG's layout is the SVG's
     return paths
-
-
-def paletted(pixels: np.ndarray):
-    """Return an image of 256 colours, which are enough for a diagram and take a third of the space.
-
-    The commonest 128 stay exact.  The others are spread over all that are left, each counted
-    once, so that a single red mark is not given the colour of a large area near it.
-
-    Parameters
-    ----------
-    pixels : (height, width, 3) uint8
-    """
-    from PIL import Image
-
-    packed = pixels.astype(np.uint32)
-    packed = packed[:, :, 0] << 16 | packed[:, :, 1] << 8 | packed[:, :, 2]
-    colours, counts = np.unique(packed, return_counts=True)
-    colours = colours[np.argsort(-counts.astype(int), kind="stable")]
-    rgb = np.stack([colours >> 16, colours >> 8 & 255, colours & 255], axis=1).astype(np.uint8)
-    palette = rgb
-    if len(rgb) > 256:
-        rest = Image.fromarray(rgb[None, 128:]).quantize(128, Image.Quantize.MAXCOVERAGE)
-        palette = np.concatenate([rgb[:128], np.array(rest.getpalette(), np.uint8).reshape(-1, 3)])[:256]
-    # |a - b|^2 = |a|^2 - 2 a.b + |b|^2, of which the first is the same for every entry b
-    a, b = rgb.astype(np.float32), palette.astype(np.float32)
-    index = np.zeros(1 << 24, np.uint8)  # of every 24-bit colour in the palette
-    index[colours] = ((b**2).sum(axis=1) - 2 * a @ b.T).argmin(axis=1)
-    image = Image.fromarray(index[packed])
-    image.putpalette(palette.tobytes())
-    return image
 
 
 def made_with() -> str:
@@ -182,7 +152,7 @@ def band(curves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     Parameters
     ----------
-    curves : (S, G) one row a seed
+    curves : (S, G) one row per seed
 
     Returns
     -------
@@ -201,7 +171,7 @@ def band(curves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return middle, low, high
 
 
-def _wall_axis(axis, curve: dict[str, np.ndarray], whose: str = "") -> None:
+def _wall_axis(axis, curve: dict[str, np.ndarray], label: str = "") -> None:
     """Add wall time [min] above the axis; a warm start's own time lies left of zero."""
     from matplotlib.ticker import MaxNLocator
 
@@ -209,17 +179,14 @@ def _wall_axis(axis, curve: dict[str, np.ndarray], whose: str = "") -> None:
     if len(steps) < 2 or minutes[-1] <= minutes[0]:
         return
     pace = (minutes[-1] - minutes[0]) / (steps[-1] - steps[0])  # [min / million steps]
-    outer = (
-        np.array([-1e3, *steps, steps[-1] + 1e3]),
-        np.array([minutes[0] - (steps[0] + 1e3) * pace, *minutes, minutes[-1] + 1e3 * pace]),
-    )
-    twin = axis.secondary_xaxis(
-        "top", functions=(lambda x: np.interp(x, *outer), lambda t: np.interp(t, *reversed(outer)))
-    )
+    far = np.array([-1e3, 1e3])  # both go on beyond the run
+    at = np.array([far[0], *steps, steps[-1] + far[1]])
+    time = np.array([minutes[0] + (far[0] - steps[0]) * pace, *minutes, minutes[-1] + far[1] * pace])
+    twin = axis.secondary_xaxis("top", functions=(lambda x: np.interp(x, at, time), lambda t: np.interp(t, time, at)))
     share = (steps[-1] - steps[0]) / max(axis.get_xlim()[1], steps[-1])  # of the axis: room for labels
     ticks = MaxNLocator(max(round(5 * share), 1)).tick_values(0, minutes[-1])
     twin.set_xticks(ticks[(ticks >= 0) & (ticks <= minutes[-1])])
-    twin.set_xlabel(f"wall time{whose} [min]")
+    twin.set_xlabel(label)
 
 
 def learning_curves(
@@ -227,11 +194,11 @@ def learning_curves(
     evaluations: dict[str, list[dict[str, float]]] | None = None,
     metrics: tuple[str, ...] = ("waypoint_fraction", "level", "reward"),
 ):
-    """Compare policies: a thin line a seed, a bold IQM, a 95 % band; return the figure.
+    """Compare policies: one thin line per seed, a bold IQM, a 95 % band; return the figure.
 
     Parameters
     ----------
-    runs : policy -> the progress of each of its seeds, one array a column
+    runs : policy -> the progress of each of its seeds, one array per column
     evaluations : policy -> evaluations of its runs, each with ``steps`` and the metrics;
         drawn as diamonds, for they are played without exploration and on other courses
     metrics : columns of progress.csv, one panel each; read the waypoint fraction beside the
@@ -240,16 +207,17 @@ def learning_curves(
     with style():
         figure, axes = new_figure(1, len(metrics), (4.8 * len(metrics), 4.9))
         curves = {policy: [c for c in seeds if c] for policy, seeds in runs.items() if any(seeds)}
+        others = [policy for policy in curves if policy not in SKILL_COLOURS]
+        colours = SKILL_COLOURS | {policy: CYCLE[k % len(CYCLE)] for k, policy in enumerate(others)}
         for axis, metric in zip(axes[0], metrics, strict=True):
-            for k, (policy, seeds) in enumerate(curves.items()):
+            for policy, seeds in curves.items():
                 points = (evaluations or {}).get(policy, [])
-                _draw_policy(axis, policy, seeds, points, metric, CYCLE[k % len(CYCLE)])
+                _draw_policy(axis, policy, seeds, points, metric, colours[policy])
             axis.set(xlabel="environment steps [million]", ylabel=LABELS.get(metric, metric.replace("_", " ")))
             axis.set_xlim(left=0)
-        for axis in axes[0]:
-            if curves:
-                first = next(iter(curves))
-                _wall_axis(axis, curves[first][0], f" of {first}")
+        for axis in axes[0] if curves else ():
+            first = next(iter(curves))
+            _wall_axis(axis, curves[first][0], f"wall time of {first} [min]" if axis is axes[0, 0] else "")
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
         return figure
 
@@ -282,8 +250,8 @@ def learning_curve(progress: Path, out: Path, title: str) -> bool:
         right.plot(steps, curve["waypoint_fraction"], color=BLUE, label="waypoint fraction, exploring")
         right.plot(steps, curve["level"], color=ORANGE, label="level / top level")
         right.set(xlabel="environment steps [million]", ylim=(0, 1.02))
-        for axis in axes[0]:
-            _wall_axis(axis, curve)
+        _wall_axis(left, curve, "wall time [min]")
+        _wall_axis(right, curve)
         speed = f"{curve['wall_seconds'][-1] / 60:.0f} min, {np.median(curve['steps_per_second']):.0f} steps/s"
         right.legend(loc="best", title=speed)
     save_figure(figure, out, f"agility-ref plot {Path(progress).parent}")
@@ -298,8 +266,8 @@ def table_figure(rows: list, out: Path, title: str) -> None:
 
     Parameters
     ----------
-    rows : of :func:`agility_ref.results.table1.table_rows`; bars are means, dots the interquartile means
-        of ours with their 95 % intervals
+    rows : of :func:`agility_ref.results.table1.table_rows`; one mark per estimate: the means of both, and the
+        interquartile mean of ours with its 95 % interval
     out, title : of the figure
     """
     environments = list(dict.fromkeys(row.environment for row in rows))
@@ -314,13 +282,13 @@ def table_figure(rows: list, out: Path, title: str) -> None:
                 paper = np.array([row.paper[metric][0] if row.paper else np.nan for row in here])
                 nothing = (np.nan,) * 3
                 sure = np.array([row.ours.iqm.get(metric, nothing) if row.ours else nothing for row in here])
-                axis.barh(y + 0.2, ours, 0.38, color=BLUE, label="ours")
-                axis.barh(y - 0.2, paper, 0.38, color=ORANGE, label="paper")
-                axis.hlines(y + 0.2, sure[:, 1], sure[:, 2], color="black", linewidth=1.2)
-                axis.plot(sure[:, 0], y + 0.2, ".", color="black", label="ours: IQM, 95 % interval")
+                axis.hlines(y, sure[:, 1], sure[:, 2], color="black", linewidth=1.2)
+                axis.plot(sure[:, 0], y, "|", color="black", markersize=9, label="ours: IQM, 95 % interval")
+                axis.plot(ours, y, "o", color=BLUE, markersize=6, alpha=0.9, label="ours: mean")
+                axis.plot(paper, y, "D", color="none", markeredgecolor=ORANGE, markeredgewidth=1.8, label="paper: mean")
                 axis.set_yticks(y, [row.policy for row in here])
                 axis.set(title=environment if line == 0 else "", xlabel=metric.replace("_", " "), xlim=(0, None))
-                axis.grid(visible=False, axis="y")
+                axis.margins(y=0.03)
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
         figure.suptitle(title, x=0.01, ha="left")
     save_figure(figure, out, f"agility-ref table1 ({title})")

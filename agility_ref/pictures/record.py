@@ -1,19 +1,17 @@
 """Recordings: play episodes and keep what there is to see.
 
-Every picture, film and clip (:mod:`agility_ref.pictures.pictures`, :mod:`agility_ref.pictures.gait`,
-:mod:`agility_ref.pictures.video`) is drawn from these arrays, so it shows what was simulated and
-nothing else.  The live views simulate for themselves.
+Every picture, film, clip and diagnosis is made from these arrays, so it shows what was simulated
+and nothing else.  The live views simulate for themselves.
 
 In:  a policy, an environment and which of its evaluation courses to play.
-Out: one :class:`Episode` per robot, trimmed to its length; or for a selector a :class:`Trace`,
-     arrays (T, N) for T control steps of N episodes.
+Out: one :class:`Episode` per robot, trimmed to its length.
 """
 
 from dataclasses import dataclass, replace
 
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError
-from agility_ref.evaluate import EvaluationConfig, evaluation_courses, in_first_episode, rollout, waypoint_fraction
+from agility_ref.evaluate import EvaluationConfig, evaluation_courses, in_first_episode, rollout
 from agility_ref.go1 import BODY_TOUCH, DEFAULT_DOF_POS
 from agility_ref.rewards import TERMS
 from agility_ref.selector import Hierarchy, Single
@@ -23,7 +21,7 @@ from agility_ref.world import World
 import numpy as np
 
 # State arrays of the same name: the simulation's, and what the environment keeps track of.
-SIMULATED = ("qpos", "foot_pos", "torque")
+SIMULATED = ("qpos", "qvel", "foot_pos", "torque")
 FOLLOWED = ("foot_contact", "foot_on_edge", "waypoint_index")
 
 
@@ -38,40 +36,26 @@ class Episode:
     policy: str
     environment: str
     course: Course
-    dt: float
-    """Control time step [s]."""
-    command: float
-    """Commanded speed [m/s]."""
-    fell: bool
-    """The episode ended by a fall."""
-    reached: int
-    """Waypoints reached by the end, 0 to 8."""
-    qpos: np.ndarray
-    """(T, 19) trunk position [m], quaternion wxyz, 12 joint angles [rad]."""
+    dt: float  # Control time step [s].
+    command: float  # Commanded speed [m/s].
+    fell: bool  # The episode ended by a fall.
+    reached: int  # Waypoints reached by the end, 0 to 8.
+    qpos: np.ndarray  # (T, 19) trunk position [m], quaternion wxyz, 12 joint angles [rad].
+    qvel: np.ndarray
+    """(T, 18) trunk velocity along the axes of the world [m/s], angular velocity, 12 joint velocities [rad/s]."""
     foot_pos: np.ndarray
     """(T, 4, 3) centres of the feet FR, FL, RR, RL [m]; zero in row 0, where nothing has been simulated yet."""
-    foot_contact: np.ndarray
-    """(T, 4) bool, the foot touches the terrain."""
-    foot_on_edge: np.ndarray
-    """(T, 4) bool, the foot violates an edge."""
-    body_contact: np.ndarray
-    """(T, 9) bool, trunk, thighs and calves that touch the terrain."""
-    torque: np.ndarray
-    """(T, 12) at the end of the step before [N m]; zero in row 0."""
-    target: np.ndarray
-    """(T, 12) joint angles asked for [rad]."""
-    waypoint_index: np.ndarray
-    """(T,) waypoints reached so far."""
-    heading_error: np.ndarray
-    """(T,) angle from the heading to the current waypoint [rad]."""
-    reward_terms: dict[str, np.ndarray]
-    """name -> (T,) weighted term; they sum to the reward of the step."""
-    skills: tuple[str, ...] = ()
-    """Names of the skills that a hierarchy chooses from; empty for a single policy."""
-    skill: np.ndarray | None = None
-    """(T,) index of the chosen skill; None for a single policy."""
-    wanted: np.ndarray | None = None
-    """(T,) index of the skill that the oracle names at that place; likewise."""
+    foot_contact: np.ndarray  # (T, 4) bool, the foot touches the terrain.
+    foot_on_edge: np.ndarray  # (T, 4) bool, the foot violates an edge.
+    body_contact: np.ndarray  # (T, 9) bool, trunk, thighs and calves that touch the terrain.
+    torque: np.ndarray  # (T, 12) at the end of the step before [N m]; zero in row 0.
+    target: np.ndarray  # (T, 12) joint angles asked for [rad].
+    waypoint_index: np.ndarray  # (T,) waypoints reached so far.
+    heading_error: np.ndarray  # (T,) angle from the heading to the current waypoint [rad].
+    reward_terms: dict[str, np.ndarray]  # name -> (T,) weighted term; they sum to the reward of the step.
+    skills: tuple[str, ...] = ()  # Names of the skills that a hierarchy chooses from; empty for a single policy.
+    skill: np.ndarray | None = None  # (T,) index of the chosen skill; None for a single policy.
+    wanted: np.ndarray | None = None  # (T,) index of the skill that the oracle names at that place; likewise.
 
     def __len__(self) -> int:
         return len(self.qpos)
@@ -80,6 +64,15 @@ class Episode:
     def time(self) -> np.ndarray:
         """(T,) [s]"""
         return np.arange(len(self)) * self.dt
+
+    @property
+    def wrong(self) -> np.ndarray:
+        """(T,) bool, the choice was not the oracle's."""
+        return self.skill != self.wanted
+
+    def spans(self, skill: str) -> np.ndarray:
+        """(K, 2) first and last x [m] of the obstacles that need ``skill``."""
+        return np.reshape([(o.x0, o.x1) for o in self.course.obstacles if o.skill == skill], (-1, 2))
 
     @property
     def reward(self) -> np.ndarray:
@@ -116,7 +109,7 @@ def record(
     config : seed, preset, difficulty and noise as in an evaluation; its number of episodes
         is not used
     courses : which courses of that evaluation, counted from 0
-    robots : robots a course, from different starts
+    robots : robots per course, from different starts
     env_config : the task
 
     Returns
@@ -175,61 +168,10 @@ def play(policy: Single | Hierarchy, env: Go1Env, environment: str, seed: int) -
     ]
 
 
-@dataclass(frozen=True)
-class Trace:
-    """Every control step of N episodes, as the robots were when they decided."""
-
-    policy: str
-    environment: str
-    skills: tuple[str, ...]
-    """What the policy chooses from."""
-    dt: float
-    """Control time step [s]."""
-    courses: list[Course]
-    """That of each episode."""
-    skill: np.ndarray
-    """(T, N) skill chosen, -1 after the end."""
-    oracle: np.ndarray
-    """(T, N) skill among ``skills`` that the oracle wanted, likewise."""
-    position: np.ndarray
-    """(T, N, 3) of the trunk [m]."""
-    velocity: np.ndarray
-    """(T, N, 3) of the trunk, along the axes of the world [m/s]."""
-    waypoint_fraction: np.ndarray
-    """(N,)"""
-
-    @property
-    def wrong(self) -> np.ndarray:
-        """(T, N) bool, the choice was not the oracle's."""
-        return self.skill != self.oracle
-
-    def spans(self, skill: str) -> np.ndarray:
-        """(N, K, 2) first and last x [m] of the obstacles that need ``skill``, NaN where a course has fewer."""
-        found = [[(o.x0, o.x1) for o in course.obstacles if o.skill == skill] for course in self.courses]
-        spans = np.full((len(found), max(map(len, found)), 2), np.nan)
-        for row, own in zip(spans, found, strict=True):
-            row[: len(own)] = np.reshape(own, (-1, 2))
-        return spans
-
-
-def play_trace(policy: Hierarchy, env: Go1Env, environment: str, seed: int) -> Trace:
-    """Play one complete episode of every robot of ``env`` with the deterministic policy."""
-    qpos, qvel = env.simulation.qpos, env.simulation.qvel
-
-    def before(action: np.ndarray) -> dict[str, np.ndarray]:
-        return {"position": qpos[:, :3].copy(), "velocity": qvel[:, :3].copy(), "course": env.course.copy()}
-
-    r = rollout(policy, env, seed, before=before)
-    alive = in_first_episode(r["done"])
-    return Trace(
-        policy=policy.name,
-        environment=environment,
-        skills=tuple(skill.name for skill in policy.skills),
-        dt=env.config.dt,
-        courses=[env.world.courses[k] for k in r["course"][0]],
-        skill=np.where(alive, r["skill"], -1),
-        oracle=np.where(alive, r["oracle"], -1),
-        position=r["position"],
-        velocity=r["velocity"],
-        waypoint_fraction=waypoint_fraction(r["waypoints"], alive),
-    )
+def side_by_side(episodes: list[Episode], name: str, nothing: float = 0) -> np.ndarray:
+    """Return one array of every episode, (T, N, ...), filled up with ``nothing`` after the end of each."""
+    arrays = [getattr(episode, name) for episode in episodes]
+    padded = np.full((max(map(len, arrays)), len(arrays), *arrays[0].shape[1:]), nothing, arrays[0].dtype)
+    for n, array in enumerate(arrays):
+        padded[: len(array), n] = array
+    return padded

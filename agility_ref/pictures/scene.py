@@ -15,21 +15,23 @@ Out: a compiled ``mujoco.MjModel`` to look at, never to train on; polygons in si
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 from agility_ref.go1 import FOOT_RADIUS, LEFT, LEGS, LINK_LENGTH, make_xml
-from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH, NUM_WAYPOINTS, Course
+from agility_ref.pictures.plots import LEG_COLOURS, RED
+from agility_ref.terrain import CELL, GRID_SHAPE, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, Course
 from agility_ref.world import EDGE_MIN_DROP, height_map
 
 import mujoco
 import numpy as np
 
-# Okabe and Ito.  Right legs are warm, left legs cool; the front pair is the darker one.
-LEG_COLOURS = {"FR": "#E69F00", "FL": "#0072B2", "RR": "#F0E442", "RL": "#56B4E9"}
-EDGE_COLOUR = "#D55E00"
 BODY, DARK, RUBBER = "#D8DADD", "#3A3F47", "#23262B"
 TOP_LOW, TOP_HIGH, SIDE, PIT, METRE = "#B9B2A3", "#F3EEE2", "#8C8577", "#5B564E", "#9C9485"
 
 WAYPOINT_COLOURS = {"reached": "#6E6E6E", "current": "#FF4FA3", "ahead": "#F2D5E3"}
+
+X = (np.arange(round(LANE_LENGTH / CELL)) + 0.5) * CELL  # [m] centres of the height map's cells
+Y = (np.arange(round(LANE_WIDTH / CELL)) + 0.5) * CELL - LANE_WIDTH / 2
 
 LOOK_GROUP, COLLISION_GROUP = 2, 3  # geom groups; viewers show 0 to 2
 BOX, SPHERE, CAPSULE, CYLINDER, ELLIPSOID = (
@@ -159,7 +161,7 @@ def _dress_terrain(world, course: Course) -> None:
     for e in find_edges(height_map(course)):
         width = 0.012  # [m]
         half = ((e.x1 - e.x0) / 2 + width / 2, (e.y1 - e.y0) / 2 + width / 2, 0.010)
-        _add(world, BOX, half, EDGE_COLOUR, pos=((e.x0 + e.x1) / 2, (e.y0 + e.y1) / 2, e.top - 0.006))
+        _add(world, BOX, half, RED, pos=((e.x0 + e.x1) / 2, (e.y0 + e.y1) / 2, e.top - 0.006))
 
 
 def _dress_waypoints(world, course: Course) -> None:
@@ -273,3 +275,44 @@ class Robot:
         axis.add_collection(
             PolyCollection(polygons, facecolors=colours, edgecolors=shade, linewidths=0.4, zorder=zorder)
         )
+
+
+# ---------------------------------------------------------------------------- the ground from the side
+
+
+def stretches(values: np.ndarray) -> list[tuple[int, int]]:
+    """Cut an array (n,) or (n, k) where its value changes; return (start, stop) of every stretch."""
+    rows = values.reshape(len(values), -1)
+    changes = (rows[1:] != rows[:-1]).any(axis=1)
+    borders = [0, *np.flatnonzero(changes) + 1, len(values)]
+    return [(int(start), int(stop)) for start, stop in pairwise(borders)]
+
+
+def ground_along(course: Course, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Height of the ground [m] at every X along a path x, y [m]."""
+    order = np.argsort(x, kind="stable")
+    path_y = np.interp(X, x[order], y[order])
+    heights = height_map(course)
+    j = np.clip(((path_y + LANE_WIDTH / 2) / CELL).astype(int), 0, heights.shape[1] - 1)
+    return heights[np.arange(len(X)), j]
+
+
+def draw_ground(axis, ground: np.ndarray, heights: np.ndarray, bottom: float) -> None:
+    """Fill the ground along a path, behind it what stands higher in the lane, and the sides of beams.
+
+    Parameters
+    ----------
+    ground : (nx,) height under the path [m]
+    heights : (nx, ny) height of the whole lane [m]
+    bottom : lowest height shown [m]
+    """
+    beside = heights.min(axis=1)
+    beside = np.where(ground - beside > EDGE_MIN_DROP, beside, ground)  # tiles of rough ground have no sides
+    levels = np.stack([heights.max(axis=1), ground, beside])
+    parts = np.array(stretches(levels.T))  # the corners alone: 900 points a curve make an SVG of megabytes
+    x = parts.ravel() * CELL
+    highest, ground, beside = np.repeat(levels[:, parts[:, 0]], 2, axis=1)
+    axis.fill_between(x, highest, bottom - 1, color="#E9E5DC", zorder=1, linewidth=0)
+    axis.fill_between(x, ground, beside, color=SIDE, zorder=2, linewidth=0)
+    axis.fill_between(x, beside, bottom - 1, color="#C9C2B4", zorder=2, linewidth=0)
+    axis.plot(x, ground, color="#6B6558", linewidth=1.0, zorder=2.5)

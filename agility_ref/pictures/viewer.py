@@ -1,11 +1,8 @@
 """Live view: a policy at 50 Hz in the browser or in a window, and the same as a standalone page.
 
 The page is drawn by viser (https://viser.studio), which needs no graphics on this machine.
-Unlike MuJoCo Studio's web viewer it listens where it is told, takes no files from the page,
-and writes a clip that plays without a server.  There is no password, so it listens on
-127.0.0.1 only; to watch from elsewhere, tunnel the port:
-``ssh -L 8080:localhost:8080 HOST``.  Where this machine has a display, :func:`show` opens
-MuJoCo's own viewer instead, driven by the same :class:`Session`.
+There is no password, so it listens on 127.0.0.1 only; to watch from elsewhere, tunnel the port:
+``ssh -L 8080:localhost:8080 HOST``.  :func:`show` opens MuJoCo's own viewer instead.
 
 In:  a policy and an environment.
 Out: a page at http://localhost:8080, an .html file, or a window until it is closed.
@@ -17,6 +14,7 @@ import os
 import queue
 import sys
 import time
+import webbrowser
 from pathlib import Path
 
 from agility_ref.curriculum import find_preset
@@ -58,20 +56,18 @@ class Session:
         highest = find_preset(config.preset).max_difficulty
         self.policy, self.environment, self.config = policy, environment, config
         self.difficulty = highest / 2 if config.difficulty is None else config.difficulty
-        self.paused = False
-        self.number = -1
+        self.paused, self.number, self.last_ending = False, -1, ""
         self.by_hand: int | None = None  # index of the skill that the visitor chose
-        self.last_ending = ""
+        self.skill_names = tuple(s.name for s in policy.skills) if isinstance(policy, Hierarchy) else ()
         self.next_course()
 
     def next_course(self, difficulty: float | None = None) -> None:
         """Start on another course, of another difficulty if one is given."""
         self.number += 1
         self.difficulty = self.difficulty if difficulty is None else difficulty
-        env_config = EnvConfig().clean() if self.config.clean else EnvConfig()
+        env_config, seed = EnvConfig().clean() if self.config.clean else EnvConfig(), self.config.seed + self.number
         rng = np.random.default_rng([self.config.seed, self.number])
         self.course = make_course(self.environment, self.difficulty, rng)
-        seed = self.config.seed + self.number
         self.env = Go1Env(World([self.course]), 1, env_config, seed=seed, num_threads=1)
         self._qpos, self._qvel = self.env.simulation.qpos, self.env.simulation.qvel
         self.observation, _ = self.env.reset(seed)
@@ -80,9 +76,9 @@ class Session:
 
     def step(self) -> None:
         """Advance by one control step; a finished episode starts again on the same course."""
-        if isinstance(self.policy, Hierarchy):
+        if self.skill_names:
             self.wanted = int(self.policy.labels[self.env.oracle_skill()[0]])
-        if isinstance(self.policy, Hierarchy) and self.by_hand is not None:
+        if self.by_hand is not None:
             self.skill = self.by_hand
             action = self.policy.execute(self.observation, np.array([self.by_hand]))
         else:
@@ -105,11 +101,6 @@ class Session:
         """(19,) joint positions now, a copy."""
         return self._qpos[0].copy()
 
-    @property
-    def skill_names(self) -> tuple[str, ...]:
-        """Skills of a hierarchy, none for a single policy."""
-        return tuple(s.name for s in self.policy.skills) if isinstance(self.policy, Hierarchy) else ()
-
     def status(self) -> str:
         """Return what the page shows beside the view, as Markdown."""
         env = self.env
@@ -119,10 +110,9 @@ class Session:
             f"speed {env.base_lin_vel[0, 0]:.1f} of {env.command[0]:.1f} m/s",
         ]
         if self.skill is not None:
+            chosen, wanted = self.skill_names[self.skill], self.skill_names[self.wanted]
             by = "by hand" if self.by_hand is not None else "by the policy"
-            lines.append(
-                f"skill **{self.skill_names[self.skill]}** {by}; the oracle would take {self.skill_names[self.wanted]}"
-            )
+            lines.append(f"skill **{chosen}** {by}; the oracle would take {wanted}")
         if self.last_ending:
             lines.append(f"last episode: {self.last_ending}")
         return "\n\n".join(lines)
@@ -163,22 +153,16 @@ def geom_mesh(model: mujoco.MjModel, geom: int):
     """Return the mesh of one primitive geom in the frame of its body, coloured."""
     import trimesh
 
-    size, kind = model.geom_size[geom], model.geom_type[geom]
-    if kind == BOX:
-        mesh = trimesh.creation.box(2 * size)
-    elif kind == SPHERE:
-        mesh = trimesh.creation.icosphere(2, size[0])
-    elif kind == ELLIPSOID:
-        mesh = trimesh.creation.icosphere(3).apply_scale(size)
-    elif kind == CAPSULE:
-        mesh = trimesh.creation.capsule(2 * size[1], size[0], count=[12, 12])
-        mesh.apply_translation([0, 0, -mesh.bounds.mean(axis=0)[2]])
-    elif kind == CYLINDER:
-        mesh = trimesh.creation.cylinder(size[0], 2 * size[1], sections=20)
-    else:
-        raise ValueError(f"no mesh for geom type {kind}")
-    frame = np.eye(4)
-    rotation = np.zeros(9)
+    size, kind, make = model.geom_size[geom], model.geom_type[geom], trimesh.creation
+    mesh = {
+        BOX: lambda: make.box(2 * size),
+        SPHERE: lambda: make.icosphere(2, size[0]),
+        ELLIPSOID: lambda: make.icosphere(3).apply_scale(size),
+        CAPSULE: lambda: make.capsule(2 * size[1], size[0], count=[12, 12]),
+        CYLINDER: lambda: make.cylinder(size[0], 2 * size[1], sections=20),
+    }[kind]()
+    mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    frame, rotation = np.eye(4), np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
     frame[:3, :3], frame[:3, 3] = rotation.reshape(3, 3), model.geom_pos[geom]
     mesh.apply_transform(frame)
@@ -250,20 +234,15 @@ def add_controls(server, session: Session, wishes: queue.SimpleQueue):
         server.gui.add_markdown(" &nbsp; ".join(colours))
     pause = server.gui.add_button_group("simulation", ["pause", "go on"])
     pause.on_click(lambda event: wishes.put(lambda: setattr(session, "paused", event.target.value == "pause")))
-    following = server.gui.add_button("next course")
-    following.on_click(lambda _: wishes.put(session.next_course))
+    server.gui.add_button("next course").on_click(lambda _: wishes.put(session.next_course))
     difficulty = server.gui.add_slider("difficulty", 0.0, 1.0, 0.05, round(20 * session.difficulty) / 20)
     difficulty.on_update(lambda _: wishes.put(lambda: session.next_course(difficulty.value)))
     push = server.gui.add_button_group("push", ["left", "right", "behind"])
     push.on_click(lambda event: wishes.put(lambda value=event.target.value: session.push(value)))
     if session.skill_names:
-        choices = ("the policy chooses", *session.skill_names)
-        skill = server.gui.add_dropdown("skill", choices)
-
-        def choose() -> None:
-            session.by_hand = None if skill.value == choices[0] else choices.index(skill.value) - 1
-
-        skill.on_update(lambda _: wishes.put(choose))
+        choices = {"the policy chooses": None} | {name: k for k, name in enumerate(session.skill_names)}
+        skill = server.gui.add_dropdown("skill", tuple(choices))
+        skill.on_update(lambda _: wishes.put(lambda: setattr(session, "by_hand", choices[skill.value])))
     return status
 
 
@@ -273,8 +252,9 @@ def serve(
     config: EvaluationConfig,
     port: int = 8080,
     seconds: float = np.inf,
+    browser: bool = False,
 ) -> None:
-    """Play in real time until interrupted, or for ``seconds`` of wall time.
+    """Play in real time until interrupted, or for ``seconds`` of wall time; open a ``browser`` where there is a display.
 
     Raises
     ------
@@ -287,7 +267,10 @@ def serve(
     wishes: queue.SimpleQueue = queue.SimpleQueue()
     status = add_controls(server, session, wishes)
     stage, course = Stage(server, session.course), session.course
-    print(f"watch at http://localhost:{server.get_port()} (this machine only; no password). Ctrl-C stops.", flush=True)
+    address = f"http://localhost:{server.get_port()}"
+    print(f"watch at {address} (this machine only; no password). Ctrl-C stops.", flush=True)
+    if browser and has_display():
+        webbrowser.open(address)
     dt, begin = session.env.config.dt, time.monotonic()
     tick, counted, steps = begin, begin, 0
     try:
@@ -311,18 +294,13 @@ def serve(
         close(server)
 
 
-# ---------------------------------------------------------------------------- the clip
-
-
 def clip(episode: Episode, out: Path, seconds: float = 10.0, fps: int = 25) -> Path:
     """Write an episode as a page that plays without a server; return its path.
 
     Parameters
     ----------
-    episode : what was played
-    out : an .html file
-    seconds : how much of it, from the start [s]
-    fps : pictures per second; usual 10 to 50
+    episode, out : what was played, and an .html file
+    seconds, fps : how much of it, from the start [s], in how many pictures per second
     """
     if not 0.0 < seconds < np.inf:
         raise UserError(f"seconds must be above 0, got {seconds}")
@@ -386,9 +364,8 @@ def show(policy: Single | Hierarchy, environment: str, config: EvaluationConfig,
     while True:
         number, model = session.number, make_scene(session.course)
         data = mujoco.MjData(model)
-        with viewer.launch_passive(
-            model, data, key_callback=pressed.append, show_left_ui=False, show_right_ui=False
-        ) as window:
+        options = {"key_callback": pressed.append, "show_left_ui": False, "show_right_ui": False}
+        with viewer.launch_passive(model, data, **options) as window:
             window.cam.type, window.cam.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, model.body("trunk").id
             window.cam.distance, window.cam.azimuth, window.cam.elevation = 2.2, 60.0, -18.0
             while window.is_running() and session.number == number and left != 0:
@@ -401,14 +378,8 @@ def show(policy: Single | Hierarchy, environment: str, config: EvaluationConfig,
                 data.qpos[:] = session.qpos
                 mujoco.mj_forward(model, data)
                 mark_waypoints(model, int(session.env.waypoint_index[0]))
-                window.set_texts(
-                    (
-                        mujoco.mjtFontScale.mjFONTSCALE_150,
-                        mujoco.mjtGridPos.mjGRID_TOPLEFT,
-                        session.status().replace("*", "").replace("\n\n", "\n"),
-                        "",
-                    )
-                )
+                text = session.status().replace("*", "").replace("\n\n", "\n")
+                window.set_texts((mujoco.mjtFontScale.mjFONTSCALE_150, mujoco.mjtGridPos.mjGRID_TOPLEFT, text, ""))
                 window.sync()
                 time.sleep(max(0.0, due - time.perf_counter()))
         if session.number == number:

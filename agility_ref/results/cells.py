@@ -12,7 +12,6 @@ Out: :class:`Cell`.
 
 import hashlib
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -154,13 +153,7 @@ def read_cell(path: Path, meta: dict) -> Cell | None:
     return Cell(meta["policy"], meta["environment"], meta["seed"], arrays, meta)
 
 
-def find_cell(
-    entrant: Entrant,
-    environment: str,
-    config: EvaluationConfig,
-    folder: Path,
-    on_play: Callable[[str, str, int], None] = lambda policy, environment, seed: None,
-) -> Cell:
+def find_cell(entrant: Entrant, environment: str, config: EvaluationConfig, folder: Path) -> Cell:
     """Return the stored cell, or play and store it.
 
     Parameters
@@ -168,13 +161,11 @@ def find_cell(
     entrant : who plays
     environment, config : what is played
     folder : of the cells
-    on_play : called with policy, environment and training seed before episodes are played
     """
     meta = origin(entrant, environment, config)
     path = cell_path(folder, entrant.policy, environment, entrant.seed)
     cell = read_cell(path, meta)
     if cell is None:
-        on_play(entrant.policy, environment, entrant.seed)
         played = evaluate_by_protocol(entrant.acting, environment, config)
         arrays = {k: getattr(played, k) for k in (*METRICS, "fell", "difficulty")} | played.choices()
         write_npz(path, arrays, meta)

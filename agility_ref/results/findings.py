@@ -77,8 +77,7 @@ class Claim:
     section: str
     measure: str
     rows: tuple[Row, ...] = ()
-    any_of: bool = False
-    """The claim says "or"."""
+    any_of: bool = False  # The claim says "or".
 
 
 def _rows(a: list[str], b: list[str] | None = None, on: Sequence[str] = ("",), minus: str = "", **more) -> list[Row]:
@@ -102,18 +101,13 @@ CLAIMS = _read_claims()
 class Comparison:
     """One difference, positive where the claim holds."""
 
-    text: str
-    """What is subtracted from what."""
+    text: str  # What is subtracted from what.
     difference: float = nan
     low: float = nan
-    high: float = nan
-    """Ends of the 95 % interval; NaN without one."""
-    seeds: int = 0
-    """Training seeds behind it."""
-    paper: float = nan
-    """The same difference of the paper's means; NaN where it prints none."""
-    margin: float | None = None
-    """As in :class:`Row`."""
+    high: float = nan  # Ends of the 95 % interval; NaN without one.
+    seeds: int = 0  # Training seeds behind it.
+    paper: float = nan  # The same difference of the paper's means; NaN where it prints none.
+    margin: float | None = None  # As in :class:`Row`.
 
     @property
     def verdict(self) -> str:
@@ -185,10 +179,8 @@ class Evidence:
     """What the claims are judged by."""
 
     cells: Cells
-    curves: dict[tuple[str, int], dict[str, np.ndarray]]
-    """(policy, training seed) -> steps and level of its training."""
-    ablations: list[dict]
-    """Rows of ABLATION_COLUMNS; empty where none were measured."""
+    curves: dict[tuple[str, int], dict[str, np.ndarray]]  # (policy, training seed) -> steps and level of its training.
+    ablations: list[dict]  # Rows of ABLATION_COLUMNS; empty where none were measured.
 
     def judge(self, claim: Claim) -> Finding:
         """Measure every row of a claim."""

@@ -6,22 +6,28 @@ their own here, and the one that PS-RL-3 names is played once for both.
 The paper's own numbers are package data, ``table1_paper.csv``, transcribed from it; a dash
 there (edge violation of hierarchies, one reward) stays empty.
 
-In:  an evaluation config, training seeds, weights.  Out: cells, and rows that summarise them.
+In:  an evaluation config, training seeds, weights.
+Out: cells, rows that summarise them, and the table as text, CSV, Markdown, LaTeX and a picture: mean and standard
+deviation, ours beside the paper's, as the paper prints them; and what may be said of ours: interquartile mean,
+success rate, steps spent.
 """
 
 import csv
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS, EvaluationConfig, evaluation_world, mean_std
+from agility_ref.files import write_csv, write_text
 from agility_ref.results.cells import Cell, Cells, acting_policies, enter, find_cell, seeds_of
 from agility_ref.stats import bootstrap_interval, iqm, wilson_interval
 from agility_ref.training import weights
 from agility_ref.training.bank import WeightsConfig, run_folder
 from agility_ref.training.policies import ENVIRONMENTS, POLICIES, TABLE_ROWS, find_policy
+from agility_ref.training.progress import attempt
 
 import numpy as np
 
@@ -40,30 +46,22 @@ Interval = tuple[float, float, float]
 class Summary:
     """What the table says of one policy on one terrain, from the cells of all its seeds."""
 
-    mean_std: MeanStd
-    """Over the episodes of all seeds together; NaN where there is nothing to divide by."""
-    iqm: dict[str, Interval]
-    """metric -> interquartile mean with its bootstrap interval; empty as published."""
+    mean_std: MeanStd  # Over the episodes of all seeds together; NaN where there is nothing to divide by.
+    iqm: dict[str, Interval]  # metric -> interquartile mean with its bootstrap interval; empty as published.
     success: Interval | None
     """Share of episodes that reach all 8 waypoints, with :func:`success_interval`; None as published."""
-    steps: int
-    """Environment steps spent on the policy, the mean over seeds."""
-    seeds: tuple[int, ...]
-    """Training seeds."""
+    steps: int  # Environment steps spent on the policy, the mean over seeds.
+    seeds: tuple[int, ...]  # Training seeds.
 
 
 @dataclass(frozen=True)
 class Row:
     """One line of the table."""
 
-    environment: str
-    """As the paper labels it."""
-    policy: str
-    """Likewise."""
-    paper: MeanStd | None
-    """The paper's figures, NaN for a dash; None for a line that the paper does not have."""
-    ours: Summary | None
-    """None where weights are missing."""
+    environment: str  # As the paper labels it.
+    policy: str  # Likewise.
+    paper: MeanStd | None  # The paper's figures, NaN for a dash; None for a line that the paper does not have.
+    ours: Summary | None  # None where weights are missing.
 
 
 def paper_cells() -> dict[tuple[str, str], MeanStd]:
@@ -136,11 +134,7 @@ def train_all(config: WeightsConfig, quiet: bool = False) -> None:
 
 
 def compute(
-    config: EvaluationConfig,
-    training: WeightsConfig,
-    folder: Path,
-    seeds: tuple[int, ...] | None = (0,),
-    on_play: Callable[[str, str, int], None] = lambda policy, environment, seed: None,
+    config: EvaluationConfig, training: WeightsConfig, folder: Path, seeds: tuple[int, ...] | None = (0,)
 ) -> tuple[Cells, list[str]]:
     """Find or play every cell whose weights exist; return the cells and what is missing.
 
@@ -150,8 +144,9 @@ def compute(
     training : where the weights are; its seed is not used
     folder : where cells are stored, and found by an interrupted table
     seeds : training seeds; None for all that have weights, policy by policy
-    on_play : called with policy, environment and seed before a cell is played
     """
+    from tqdm import tqdm
+
     evaluation_world(ENVIRONMENTS[0], config)  # a bad config is an error even where all weights are missing
     lines = dict.fromkeys((environment, find_policy(name).name) for environment, name in table_lines())
     entrants, missing = [], []
@@ -161,12 +156,13 @@ def compute(
                 entrants.append(enter(policy, replace(training, seed=seed)))
             except UserError as error:
                 missing.append(str(error))
-    cells = {
-        (entrant.policy, environment, entrant.seed): find_cell(entrant, environment, config, folder, on_play)
-        for environment in ENVIRONMENTS  # the outer loop: all play on the courses of one terrain, then of the next
-        for entrant in entrants
-        if (environment, entrant.policy) in lines
-    }
+    # Terrain outermost: all play on the courses of one, then of the next.
+    asked = [(entrant, t) for t in ENVIRONMENTS for entrant in entrants if (t, entrant.policy) in lines]
+    cells = {}
+    with tqdm(asked, unit="cell", leave=False, disable=None) as bar:  # on a terminal only
+        for entrant, environment in bar:
+            bar.set_description(f"{entrant.policy} on {environment}, seed {entrant.seed}")
+            cells[entrant.policy, environment, entrant.seed] = find_cell(entrant, environment, config, folder)
     return cells, list(dict.fromkeys(missing))
 
 
@@ -209,3 +205,176 @@ def success_interval(reached: np.ndarray) -> tuple[float, float]:
         ends = bootstrap_interval(reached, np.mean)
         low, high = min(low, ends[0]), max(high, ends[1])
     return low, high
+
+
+# ---------------------------------------------------------------------------- as text
+
+HEADINGS = {
+    "reward": "Reward",
+    "episode_length": "Ep. length",
+    "waypoint_fraction": "% WP",
+    "edge_violation": "Violation",
+}
+DIGITS = {"reward": 2, "episode_length": 0, "waypoint_fraction": 2, "edge_violation": 2}
+NOTES = (
+    "Mean ± standard deviation over episodes, as the paper prints it: the spread between episodes, not the uncertainty "
+    "of the mean.  Rewards cannot be compared with the paper's: the weights of the terms differ.",
+    "Interquartile mean over the episodes of all training seeds, with its 95 % interval, bootstrapped over seeds and "
+    "episodes; success is the share of episodes that reach all 8 waypoints, with Wilson's 95 % interval for the episodes of "
+    "one seed, widened by the bootstrap where there are several.  With one training seed the intervals cover the episodes alone and say nothing of how another training would have turned out.  Steps are "
+    "environment steps in millions: those of a selector include its bank of skills, their common warm start once.",
+)
+EXTRA_HEADINGS = ("Success", "Steps", "Seeds")
+
+
+def title(config: EvaluationConfig, rows: list[Row]) -> str:
+    """Say in one line what the table shows."""
+    seeds = sorted({seed for row in rows if row.ours for seed in row.ours.seeds})
+    parts = [f"Table 1, preset {config.preset}", f"{config.episodes} episodes a cell"]
+    if config.protocol != "complete":
+        parts[1:] = [f"{config.episodes} robots a cell", f"counted {config.protocol}"]
+    if config.difficulty is not None:
+        parts.append(f"difficulty {config.difficulty:g}")
+    if config.clean:
+        parts.append("without noise and pushes")
+    if seeds:
+        parts.append(f"training seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}")
+    return ", ".join(parts)
+
+
+def format_value(value: tuple[float, float] | None, metric: str) -> str:
+    """Return "mean ± std" with the metric's digits, or a dash."""
+    if value is None or math.isnan(value[0]):
+        return "-"
+    return f"{value[0]:.{DIGITS[metric]}f} ± {value[1]:.{DIGITS[metric]}f}"
+
+
+def format_interval(interval: Interval | None, digits: int = 2) -> str:
+    """Return "estimate [low, high]", or a dash.
+
+    >>> format_interval((0.5, 0.25, 0.75))
+    '0.50 [0.25, 0.75]'
+    """
+    if interval is None:
+        return "-"
+    estimate, low, high = (f"{x:.{digits}f}" for x in interval)
+    return f"{estimate} [{low}, {high}]"
+
+
+def compared(row: Row) -> list[str]:
+    """Return the cells of the first table: ours and the paper's of each metric."""
+    ours = row.ours.mean_std if row.ours else None
+    return [format_value(who and who[m], m) for m in METRICS for who in (ours, row.paper)]
+
+
+def surely(row: Row) -> list[str]:
+    """Return the cells of the second table: four intervals, success rate, steps, seeds."""
+    ours = row.ours
+    if ours is None:
+        return ["-"] * (len(METRICS) + len(EXTRA_HEADINGS))
+    intervals = [format_interval(ours.iqm.get(m), DIGITS[m]) for m in METRICS]
+    seeds = ", ".join(map(str, ours.seeds))
+    return [*intervals, format_interval(ours.success), f"{ours.steps / 1e6:.1f} M", seeds]
+
+
+def printed(rows: list[Row]) -> list[tuple[list[str], list[list[str]]]]:
+    """Return headings and lines of each table; the second where it says anything that the first does not."""
+    tables = [([f"{HEADINGS[m]} {who}" for m in METRICS for who in ("ours", "paper")], [*map(compared, rows)])]
+    if any(row.ours and row.ours.iqm for row in rows):
+        tables.append(([*HEADINGS.values(), *EXTRA_HEADINGS], [*map(surely, rows)]))
+    return tables
+
+
+def text(rows: list[Row]) -> str:
+    """Return both tables for a terminal."""
+    parts = []
+    for heads, lines in printed(rows):
+        table = [[head.removesuffix(" ours") for head in heads], *lines]
+        widths = [max(map(len, column)) + 2 for column in zip(*table, strict=True)]
+        names, previous = [f"{'':27}"], ""
+        for row in rows:
+            names.append(f"{row.environment if row.environment != previous else '':10} {row.policy:16}")
+            previous = row.environment
+        parts.append("\n".join(
+            name + "".join(f"{value:>{width}}" for value, width in zip(line, widths, strict=True))
+            for name, line in zip(names, table, strict=True)
+        ))  # fmt: skip
+    sure = "\n\ninterquartile mean and success rate with 95 % intervals, environment steps, training seeds\n"
+    return sure.join(parts)
+
+
+def markdown(rows: list[Row]) -> str:
+    """Return both tables in Markdown, each with a note on how to read it."""
+    parts = []
+    for (heads, lines), note in zip(printed(rows), NOTES, strict=False):
+        parts += ["## How sure\n"] if parts else []
+        parts += ["| Environment | Policy | " + " | ".join(heads) + " |", "|---" * (len(heads) + 2) + "|"]
+        parts += [f"| {r.environment} | {r.policy} | {' | '.join(line)} |" for r, line in zip(rows, lines, strict=True)]
+        parts += ["", note, ""]
+    return "\n".join(parts)
+
+
+def csv_line(row: Row) -> dict[str, str]:
+    """Return column -> value of one row; empty where there is none."""
+    ours, numbers = row.ours, {}
+    for who, figures in (("ours", ours and ours.mean_std), ("paper", row.paper)):
+        for m in METRICS:
+            numbers |= _named(f"{m}_", ("mean", "std"), figures and figures[m], f"_{who}")
+    for m in METRICS:
+        numbers |= _named(f"{m}_", ("iqm", "low", "high"), ours and ours.iqm.get(m))
+    numbers |= _named("success_", ("rate", "low", "high"), ours and ours.success)
+    last = {"steps": ours.steps, "seeds": " ".join(map(str, ours.seeds))} if ours else {"steps": "", "seeds": ""}
+    return {"environment": row.environment, "policy": row.policy, **numbers, **last}
+
+
+def _named(prefix: str, names: tuple[str, ...], values: tuple[float, ...] | None, suffix: str = "") -> dict[str, str]:
+    values = values or (math.nan,) * len(names)
+    return {f"{prefix}{n}{suffix}": "" if math.isnan(v) else f"{v:.4f}" for n, v in zip(names, values, strict=True)}
+
+
+def latex(rows: list[Row], caption: str) -> str:
+    r"""Return both tables as LaTeX ``table*`` environments; needs ``\usepackage{booktabs}`` and nothing else."""
+    labels, parts = ("tab:agility-ref-table1", "tab:agility-ref-intervals"), ["% Needs \\usepackage{booktabs}."]
+    for k, (heads, lines) in enumerate(printed(rows)):
+        top = [" & ".join(map(_escape, ["Environment", "Policy", *heads])) + r" \\"]
+        if k == 0:  # ours and the paper's under one heading per metric
+            groups = "".join(rf" & \multicolumn{{2}}{{c}}{{{_escape(HEADINGS[m])}}}" for m in METRICS)
+            rules = "".join(rf"\cmidrule(lr){{{3 + 2 * j}-{4 + 2 * j}}}" for j in range(len(METRICS)))
+            top = [rf" & {groups} \\", rules, " & ".join(["Environment & Policy", *("ours", "paper") * 4]) + r" \\"]
+        body, previous = [], rows[0].environment
+        for row, line in zip(rows, lines, strict=True):
+            body += [r"\midrule"] if row.environment != previous else []
+            previous = row.environment
+            body.append(" & ".join([row.environment, row.policy, *map(_math, line)]) + r" \\")
+        parts += [
+            r"\begin{table*}", r"\centering", rf"\caption{{{_escape(f'{caption}. {NOTES[k]}')}}}", rf"\label{{{labels[k]}}}",
+            r"\scriptsize", r"\setlength{\tabcolsep}{3pt}", rf"\begin{{tabular}}{{ll{'r' * len(heads)}}}",
+            r"\toprule", *top, r"\midrule", *body, r"\bottomrule", r"\end{tabular}", r"\end{table*}", "",
+        ]  # fmt: skip
+    return "\n".join(parts)
+
+
+def _escape(words: str) -> str:
+    for character in "&%$#_{}":
+        words = words.replace(character, f"\\{character}")
+    return words.replace("±", r"$\pm$")
+
+
+def _math(value: str) -> str:
+    """Set the figures of a value in mathematics, so that a minus is one; a dash stands for nothing."""
+    if value == "-":
+        return "--"
+    figures = value.removesuffix(" M")
+    return f"${figures}$".replace("±", r"\pm") + value[len(figures) :]
+
+
+def write_all(rows: list[Row], folder: Path, caption: str) -> list[Path]:
+    """Write table1.csv, table1.md and table1.tex, and draw table1.png if that can be done; return their paths."""
+    from agility_ref.pictures.plots import table_figure
+
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"table1.{suffix}" for suffix in ("csv", "md", "tex", "png")]
+    write_csv(paths[0], [csv_line(row) for row in rows])
+    write_text(paths[1], f"# {caption}\n\n{markdown(rows)}")
+    write_text(paths[2], latex(rows, caption))
+    return paths if attempt(table_figure, rows, paths[3], caption) else paths[:3]

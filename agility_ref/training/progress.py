@@ -2,7 +2,7 @@
 
 In:  the record of each iteration of :func:`agility_ref.ppo.train`.
 Out: a progress bar, ``progress.csv`` and its reader, and a polite end on Ctrl-C.  progress.csv
-grows in place, a row an iteration; all other files are replaced as a whole.
+grows in place, one row per iteration; all other files are replaced as a whole.
 """
 
 import os
@@ -29,7 +29,7 @@ EPISODE = ("reward", "length", "waypoints", "edge")  # what is kept of an episod
 
 
 def read_progress(path: Path) -> dict[str, np.ndarray]:
-    """Read a progress.csv into one array a column; empty where it has no rows.
+    """Read a progress.csv into one array per column; empty where it has no rows.
 
     Raises
     ------

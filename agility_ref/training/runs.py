@@ -199,20 +199,21 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
         config = replace(config, curriculum=replace(config.curriculum, enabled=False))
     elif _goes_on_from_distilled(spec) and config.warm_start:
         ppo = config.fine_tune.apply(ppo)
-    env, curriculum = make_env(spec, config)
+    robots, curriculum = make_env(spec, config)
     # What is seen mirrored asks for the same skill, and for the mirrored action.
     act_mirror = Mirror.identity(len(spec.skills)) if selector else ACTION_MIRROR
     seen = {}
     if config.sight and not selector:  # which chooses on all courses and is to see them as they are
-        seen["seen.low"], seen["seen.high"] = sight(env.world)
+        seen["seen.low"], seen["seen.high"] = sight(robots.world)
     learner = Learner.create(OBS_MIRROR, act_mirror, ppo, config.seed, selector, fixed=SCANDOTS)
     skills = load_bank(spec.skills, config)
     bank = digests(skills)
+    env = robots
     if selector:
-        env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward)
+        env = SelectorEnv(robots, oracle_hierarchy(spec.name, skills), spec.reward)
     batch = ppo.batch_size
     kinds = [f"level_{kind}" for kind in spec.courses] if len(spec.courses) > 1 and config.curriculum.enabled else []
-    rows, episodes = _resume_or_warm_start(spec, config, folder, learner, env, curriculum, bank, batch, kinds)
+    rows, episodes = _resume_or_warm_start(spec, config, folder, learner, robots, curriculum, bank, batch, kinds)
     if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
     _write_config(spec, config, folder)
@@ -222,7 +223,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
     start = last_drawn - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
 
     def save(compress: bool) -> None:
-        arrays = policy_arrays(learner) | learner_state(learner) | robots_state(env, curriculum) | seen
+        arrays = policy_arrays(learner) | learner_state(learner) | robots_state(robots, curriculum) | seen
         arrays |= {"progress.episodes": log.last_episodes()}
         if bad := beyond_use(arrays):
             raise _diverged(folder, bad, learner, batch)
@@ -236,7 +237,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
         write_npz(folder / "policy.npz", arrays, meta, compress)
 
     with stop, log, np.errstate(over="ignore", invalid="ignore"):  # what is no longer finite is found below
-        for record in train(env, learner, total, stop.requested, env.observation if rows else None):
+        for record in train(env, learner, total, stop.requested, robots.observation if rows else None):
             if bad := next((key for key, value in record.items() if key != "episodes" and not np.isfinite(value)), ""):
                 raise _diverged(folder, bad, learner, batch)
             levels = curriculum.levels()
@@ -270,7 +271,7 @@ def _resume_or_warm_start(
     config: TrainConfig,
     folder: Path,
     learner: Learner,
-    env: Go1Env | SelectorEnv,
+    robots: Go1Env,
     curriculum: Curriculum,
     bank: dict[str, str],
     batch: int,
@@ -286,10 +287,10 @@ def _resume_or_warm_start(
                 raise UserError(f"{folder} was started with {flag} {began}, not {ours}; give that, or another --out")
         for other in other_skills(meta, bank):
             raise UserError(f"{folder} was started over another {other}; give its folder, or another --out")
-        check_arrays(saved, arrays, learner, env, curriculum)
+        check_arrays(saved, arrays, learner, robots, curriculum)
         learner.steps, learner.start = meta["steps"], meta.get("start", 0)
         rows = rows_until(folder / "progress.csv", learner.start, learner.steps, batch, tuple(levels))
-        go_on(arrays, learner, env, curriculum)
+        go_on(arrays, learner, robots, curriculum)
         return rows, arrays["progress.episodes"]
     if spec.warm_start and config.warm_start:
         source = weights_path(spec.warm_start, config)

@@ -12,13 +12,20 @@ from pathlib import Path
 from agility_ref.curriculum import Curriculum
 from agility_ref.env import Go1Env
 from agility_ref.errors import UserError
+from agility_ref.files import pack_stream, unpack_stream
 from agility_ref.ppo import Learner
-from agility_ref.selector import SelectorEnv
+from agility_ref.terrain import NUM_WAYPOINTS
 from agility_ref.training.progress import EPISODE
 
 import numpy as np
 import torch
 
+# What the next step of Go1Env depends on, beside the physics and the random streams.
+ROBOTS = (
+    "course", "waypoint_index", "command", "yaw", "base_lin_vel", "projected_gravity", "heading_error", "foot_contact",
+    "push_timer", "_reach_timer", "_reach_step", "_step_count", "_last_action", "_scandots", "_clock",
+    "_episode_reward", "_episode_edge", "observation",
+)  # fmt: skip
 MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # what Adam remembers of each parameter
 
 
@@ -44,21 +51,45 @@ def learner_state(learner: Learner) -> dict[str, np.ndarray]:
     return state
 
 
-def robots_state(env: Go1Env | SelectorEnv, curriculum: Curriculum) -> dict[str, np.ndarray]:
+def robots_state(env: Go1Env, curriculum: Curriculum) -> dict[str, np.ndarray]:
     """Return where the robots are, and which courses come next."""
-    parts = {"env": env.state(), "curriculum": curriculum.state()}
+    robots = {name.strip("_"): getattr(env, name).copy() for name in ROBOTS}
+    robots |= {"rng": pack_stream(env.rng), "disturbance_rng": pack_stream(env._disturbance_rng)}
+    robots["physics"] = env.simulation.batch.state.copy()
+    parts = {"env": robots, "curriculum": curriculum.state()}
     return {f"{part}.{name}": array for part, state in parts.items() for name, array in state.items()}
 
 
-def go_on(arrays: dict[str, np.ndarray], learner: Learner, env: Go1Env | SelectorEnv, curriculum: Curriculum) -> None:
+def load_robots(env: Go1Env, state: dict[str, np.ndarray]) -> None:
+    """Put the robots where :func:`robots_state` found them; ``env.observation`` is what they saw last.
+
+    Raises
+    ------
+    UserError : a robot is on no course of this world
+    """
+    for name, end in (("course", len(env.world)), ("waypoint_index", NUM_WAYPOINTS)):
+        if state[name].min() < 0 or state[name].max() >= end:
+            raise UserError(f"{name} of a robot must be from 0 to {end - 1}")
+    for name in ROBOTS:
+        getattr(env, name)[...] = state[name.strip("_")]
+    env.simulation.load_state(env.course, state["physics"])
+    unpack_stream(env.rng, state["rng"])
+    unpack_stream(env._disturbance_rng, state["disturbance_rng"])
+
+
+def go_on(arrays: dict[str, np.ndarray], learner: Learner, env: Go1Env, curriculum: Curriculum) -> None:
     """Put everything where :func:`learner_state` and :func:`robots_state` found it.
 
     Raises
     ------
     UserError : the arrays cannot be those of a run
     """
-    for part, owner in (("env.", env), ("curriculum.", curriculum)):
-        owner.load_state({n.removeprefix(part): array for n, array in arrays.items() if n.startswith(part)})
+    robots, courses = (
+        {name.removeprefix(part): array for name, array in arrays.items() if name.startswith(part)}
+        for part in ("env.", "curriculum.")
+    )
+    load_robots(env, robots)
+    curriculum.load_state(courses)
     load_learner(learner, arrays)
 
 
@@ -83,7 +114,7 @@ def load_learner(learner: Learner, arrays: dict[str, np.ndarray]) -> None:
 
 
 def check_arrays(
-    saved: Path, arrays: dict[str, np.ndarray], learner: Learner, env: Go1Env | SelectorEnv, curriculum: Curriculum
+    saved: Path, arrays: dict[str, np.ndarray], learner: Learner, env: Go1Env, curriculum: Curriculum
 ) -> None:
     """Refuse a checkpoint that training cannot go on from: every array is to be there, of its shape and type.
 

@@ -83,7 +83,7 @@ def shipped(preset: str, policy: str, seed: int, folder: Path = FOLDER) -> Path 
 
 
 def shipped_curve(path: Path) -> dict[str, np.ndarray]:
-    """Return the learning curve of a shipped file, thinned, one array a column; empty where its manifest has none."""
+    """Return the learning curve of a shipped file, thinned, one array per column; empty where its manifest has none."""
     entry = manifest(path.parent).get(path.name, {})
     return {key: np.array(values) for key, values in entry.get("curve", {}).items()}
 

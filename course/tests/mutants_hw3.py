@@ -118,11 +118,11 @@ MUTANTS = (
         "moves by 0.01",
     ),
     Mutant(
-        "gradients never cleared",
+        "value moved away from its target",
         FILE,
-        (("            optimiser.zero_grad()\n            loss.backward()\n            torch", "            loss.backward()\n            torch"),),
-        "test_training_walks",
-        "waypoints",
+        (("loss = -gain - config.entropy * policy.entropy() + (", "loss = -gain - config.entropy * policy.entropy() - ("),),
+        "test_update_improves",
+        "the error of the value",
     ),
     Mutant(
         "agility_ref's own functions",

@@ -43,6 +43,9 @@ def test_what_cannot_be_run_is_named_and_never_executed(tmp_path):
     adapters.write_text(adapters.read_text().replace('"hw6"', '"hw2"') + "\nopen('executed', 'w')\n")
     (folder / "lost").mkdir()
     (folder / "lost" / "notes.txt").write_text("my laptop broke")
+    submission(folder / "mangled")
+    (folder / "mangled" / "hw6" / "__init__.py").unlink()
+    (folder / "mangled" / "hw6" / "__init__.py").mkdir()
     with zipfile.ZipFile(folder / "climbs.zip", "w") as archive:
         archive.writestr("hw6/adapters.py", "ASSIGNMENT = 'hw6'\n")
         archive.writestr("../../out.py", "1\n")
@@ -55,6 +58,7 @@ def test_what_cannot_be_run_is_named_and_never_executed(tmp_path):
     assert "No module named 'no_such_package'" in notes["missing"]
     assert notes["other"] == "these are files of hw2, not of hw6"
     assert notes["lost"].startswith("no adapters.py among 1 files")
+    assert "keep the layout" in notes["mangled"]
     assert notes["climbs"] == "the zip has a path that climbs out: ../../out.py"
     assert notes["torn"].startswith("not a zip that can be unpacked")
     assert not list(tmp_path.rglob("executed")) and not list(tmp_path.rglob("out.py"))

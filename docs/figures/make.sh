@@ -4,7 +4,6 @@
 # Each line is the command that stands under its figure; the SVG twins are not kept here.
 set -e
 agility-ref plot courses --out docs/figures/courses.png
-agility-ref plot framework --out docs/figures/framework.png
 agility-ref plot skills --difficulty 0.5 --out docs/figures/skills.png
 agility-ref plot strobe oracle --environment climb-gap --difficulty 0.5 --course 2 --out docs/figures/strobe.png
 agility-ref plot strobe distilled --environment climb-gap --difficulty 0.4 --course 2 --out docs/figures/strobe-distilled.png
@@ -24,4 +23,4 @@ for d in 0.5 1; do
   agility-ref plot strobe beam --environment beam --difficulty $d --out docs/figures/beam-$d.png
 done
 agility-ref video climb --environment climb --difficulty 1 --seconds 13 --fps 14 --width 400 --height 300 --quality 45 --out docs/figures/climb.webp
-rm -f docs/figures/*.svg
+find docs/figures -name "*.svg" ! -name framework.svg -delete

@@ -1,10 +1,13 @@
 import errno
 import json
 import os
+import re
 import subprocess
 import sys
+from dataclasses import fields
 
-from agility_ref.cli.main import COMMANDS, main
+from agility_ref import __version__
+from agility_ref.cli.main import COMMANDS, PLOTS, Command, main, options_of
 from agility_ref.evaluate import METRICS
 from agility_ref.policy import read_npz, write_npz
 from agility_ref.training.policies import POLICIES
@@ -69,35 +72,6 @@ def test_bad_evaluations_are_one_line(refuses, tmp_path, finished_run, command, 
     refuses(f"evaluate walk --runs {tmp_path} {command}", *expected)
 
 
-@pytest.mark.parametrize("flags, message", [
-    ("--ppo.num-envs 0", "num-envs must be a number of at least 1, not 0"),
-    ("--ppo.num-envs 2 --ppo.num-steps 3 --ppo.num-minibatches 7", "num-minibatches must be at most 6 steps, not 7"),
-    ("--ppo.hidden 64 7", "hidden must be even numbers of units, for they come in pairs, not (64, 7)"),
-    ("--ppo.init-std nan", "init-std must be a number of at least 1e-09, not nan"),
-    ("--ppo.learning-rate -1", "learning-rate must be a number of at least 1e-09, not -1.0"),
-    ("--env.noise -1", "noise must be a number of at least 0, not -1.0"),
-    ("--env.command-low 0.9 --env.command-high 0.8", "command-high must be a number of at least 0.9, not 0.8"),
-    ("--env.physics.substeps 0", "substeps must be a number of at least 1, not 0"),
-    ("--env.physics.timestep 0", "timestep must be a number of at least 1e-05, not 0.0"),
-    ("--curriculum.variants 0", "variants must be a number of at least 1, not 0"),
-    ("--seed -1", "seed must be a number of at least 0, not -1"),
-    ("--steps -5", "steps must be a number of at least 0, not -5"),
-    ("--warm-std nan", "warm-std must be a number of at least 1e-09, not nan"),
-])  # fmt: skip
-def test_settings_that_no_run_can_be_made_with_are_one_line(refuses, tmp_path, flags, message):
-    assert refuses(f"train walk {flags}") == f"agility-ref: {message}\n"
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_start_from_a_network_without_symmetry_is_one_line(refuses, tmp_path, finished_run):
-    path = finished_run(tmp_path, "walk") / "policy.npz"
-    arrays, meta = read_npz(path)
-    dense = {name: array for name, array in arrays.items() if not name.startswith(("net.", "optimizer."))}
-    write_npz(path, dense, {key: meta[key] for key in meta if key != "schema"})
-    command = f"train climb --out {tmp_path} --ppo.hidden 16 --ppo.num-envs 2 --curriculum.num-levels 1"
-    refuses(command, f"{path} holds a network without symmetry; train walk anew, with --out")
-
-
 def test_unknown_environment_is_named_without_weights(refuses):
     refuses("evaluate walk --environment gaps", "unknown environment 'gaps'")
 
@@ -154,7 +128,8 @@ def test_a_checkpoint_of_another_shape(refuses, tmp_path, finished_run):
 def test_resuming_what_was_never_trained_here(refuses, tmp_path, finished_run):
     (finished_run(tmp_path, "walk") / "DONE").unlink()  # one hidden layer of 16 units
     (tmp_path / "walk" / "seed0" / "progress.csv").write_text("steps,wall_seconds\n")
-    refuses(f"train walk --out {tmp_path} --ppo.num-envs 2 --curriculum.num-levels 1 --steps 5000", "lacks the state")
+    command = f"train walk --out {tmp_path} --ppo.hidden 16 --ppo.num-envs 2 --curriculum.num-levels 1 --steps 5000"
+    refuses(command, "lacks the state")
 
 
 def test_resuming_under_another_preset(refuses, tmp_path, finished_run):
@@ -170,6 +145,56 @@ def test_no_command_prints_the_usage(capsys):
     assert main(["--help"]) == 0
     out = capsys.readouterr().out
     assert all(command in out for command in COMMANDS)
+
+
+def every_command():
+    for name, entry in COMMANDS.items():
+        yield from [f"{name} {kind}" for kind in entry] if entry is PLOTS else [name]
+
+
+@pytest.mark.parametrize("name", list(every_command()))
+def test_help_has_at_most_a_dozen_flags_and_two_examples(capsys, name):
+    assert main([*name.split(), "--help"]) == 0
+    out = capsys.readouterr().out
+    assert len(re.findall(r"^│ --", out, re.M)) <= 12 and not re.search(r"\bSTR\b", out)
+    assert len(re.findall(r"^ +agility-ref \w", out, re.M)) == 2 or name == "list"
+
+
+@pytest.mark.parametrize("name", ["train", "table1", "evaluate", "diagnose", "video"])
+def test_help_all_has_every_flag(capsys, name):
+    assert main([name, "--help-all"]) == 0
+    out = capsys.readouterr().out
+    for f in fields(COMMANDS[name].more()):
+        assert f"--{f.name.replace('_', '-')}" in out
+
+
+@pytest.mark.parametrize("name", ["train", "table1", "evaluate", "diagnose", "video"])
+def test_the_first_flags_have_the_defaults_of_the_configuration(name):
+    command = COMMANDS[name]
+    first, more = ({f.name: f.default for f in fields(kind)} for kind in (command.options, command.more()))
+    if name == "table1":
+        assert first.pop("seed") == 1  # the recipe was chosen on the courses of seed 0
+    common = first.keys() & more.keys()
+    assert common and all(first[key] == more[key] for key in common)
+    assert issubclass(options_of(command, True), command.options)
+
+
+def test_help_waits_for_no_library():
+    for words in ("--help", "train --help", "plot strobe --help"):
+        script = f"import sys; from agility_ref.cli.main import main; main({words.split()!r}); print(*sys.modules)"
+        out = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+        assert not {"numpy", "torch", "mujoco", "matplotlib"} & set(out.split())
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"agility-ref {__version__}\n"
+
+
+def test_completion_names_the_commands(capsys):
+    assert main(["--tyro-print-completion", "bash"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in (*COMMANDS, *PLOTS))
 
 
 def test_list_names_every_policy(capsys):
@@ -243,8 +268,9 @@ def test_table1_of_several_seeds(capsys, tmp_path, finished_run, short_episodes)
         "cells", "findings.md", "table1.csv", "table1.md", "table1.png", "table1.svg", "table1.tex",
     ]  # fmt: skip
     assert len(list((tmp_path / "results" / "cells").glob("walk-*-seed[03].npz"))) == 8
+    played = {path: path.stat().st_mtime_ns for path in (tmp_path / "results" / "cells").iterdir()}
     assert main("table1 --seeds 0,3 --episodes 2".split()) == 0
-    assert capsys.readouterr().err.count("evaluating") == 0  # all found in results/cells
+    assert {path: path.stat().st_mtime_ns for path in played} == played  # all found in results/cells
 
 
 def test_table1_compares(capsys, tmp_path, finished_run, short_episodes):
@@ -285,19 +311,19 @@ def test_an_interrupted_table1_says_how_to_go_on(capsys, monkeypatch, tmp_path):
 
 
 def test_interrupting_exits_with_130(capsys, monkeypatch):
-    def interrupted(argv):
+    def interrupted(options):
         raise KeyboardInterrupt("stopped at 5 of 10 steps")
 
-    monkeypatch.setitem(COMMANDS, "train", interrupted)
+    monkeypatch.setitem(COMMANDS, "train", Command(interrupted, COMMANDS["list"].options))
     assert main(["train"]) == 130
     assert capsys.readouterr().err == "agility-ref: stopped at 5 of 10 steps\n"
 
 
 def test_our_own_mistakes_keep_their_traceback(monkeypatch):
-    def broken(argv):
+    def broken(options):
         raise ValueError("a bug")
 
-    monkeypatch.setitem(COMMANDS, "train", broken)
+    monkeypatch.setitem(COMMANDS, "train", Command(broken, COMMANDS["list"].options))
     with pytest.raises(ValueError, match="a bug"):
         main(["train"])
 
@@ -331,16 +357,15 @@ def test_a_reader_that_has_seen_enough_gets_no_traceback():
 
 
 def test_list_takes_no_more_words(capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main(["list", "walk"])
-    assert stopped.value.code == 2 and "walk" in capsys.readouterr().err
+    assert main(["list", "walk"]) == 2
+    assert "walk" in capsys.readouterr().err
 
 
 def test_a_full_disk_is_one_line(monkeypatch, capsys):
-    def full(argv):
+    def full(options):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setitem(COMMANDS, "list", full)
+    monkeypatch.setitem(COMMANDS, "list", Command(full, COMMANDS["list"].options))
     assert main(["list"]) == 2
     assert capsys.readouterr().err == "agility-ref: No space left on device\n"
 
@@ -349,3 +374,32 @@ def test_a_table_is_refused_before_it_is_trained(monkeypatch, capsys):
     monkeypatch.setattr("agility_ref.results.table1.train_all", lambda *args: pytest.fail("trained"))
     assert main("table1 --train --episodes 0".split()) == 2
     assert "episodes must be at least 1, not 0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("flags, message", [
+    ("--ppo.num-envs 0", "num-envs must be a number of at least 1, not 0"),
+    ("--ppo.num-envs 2 --ppo.num-steps 3 --ppo.num-minibatches 7", "num-minibatches must be at most 6 steps, not 7"),
+    ("--ppo.hidden 64 7", "hidden must be even numbers of units, for they come in pairs, not (64, 7)"),
+    ("--ppo.init-std nan", "init-std must be a number of at least 1e-09, not nan"),
+    ("--ppo.learning-rate -1", "learning-rate must be a number of at least 1e-09, not -1.0"),
+    ("--env.noise -1", "noise must be a number of at least 0, not -1.0"),
+    ("--env.command-low 0.9 --env.command-high 0.8", "command-high must be a number of at least 0.9, not 0.8"),
+    ("--env.physics.substeps 0", "substeps must be a number of at least 1, not 0"),
+    ("--env.physics.timestep 0", "timestep must be a number of at least 1e-05, not 0.0"),
+    ("--curriculum.variants 0", "variants must be a number of at least 1, not 0"),
+    ("--seed -1", "seed must be a number of at least 0, not -1"),
+    ("--steps -5", "steps must be a number of at least 0, not -5"),
+    ("--warm-std nan", "warm-std must be a number of at least 1e-09, not nan"),
+])  # fmt: skip
+def test_settings_that_no_run_can_be_made_with_are_one_line(refuses, tmp_path, flags, message):
+    assert refuses(f"train walk {flags}") == f"agility-ref: {message}\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_start_from_a_network_without_symmetry_is_one_line(refuses, tmp_path, finished_run):
+    path = finished_run(tmp_path, "walk") / "policy.npz"
+    arrays, meta = read_npz(path)
+    dense = {name: array for name, array in arrays.items() if not name.startswith(("net.", "optimizer."))}
+    write_npz(path, dense, {key: meta[key] for key in meta if key != "schema"})
+    command = f"train climb --out {tmp_path} --ppo.hidden 16 --ppo.num-envs 2 --curriculum.num-levels 1"
+    refuses(command, f"{path} holds a network without symmetry; train walk anew, with --out")

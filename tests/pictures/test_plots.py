@@ -1,13 +1,22 @@
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-from agility_ref.cli.main import main
-from agility_ref.cli.pictures import PLOTS
+from agility_ref.cli.main import PLOTS, main
 from agility_ref.evaluate import EvaluationConfig
 from agility_ref.go1 import FOOT_RADIUS, make_model
-from agility_ref.pictures import gait, gallery, pictures, plots
+from agility_ref.pictures import gait, pictures, plots
 from agility_ref.pictures.record import record
-from agility_ref.pictures.scene import LOOK_GROUP, Robot, find_edges, make_scene, support_points, waypoint_heights
+from agility_ref.pictures.scene import (
+    LOOK_GROUP,
+    Robot,
+    draw_ground,
+    find_edges,
+    ground_along,
+    make_scene,
+    stretches,
+    support_points,
+    waypoint_heights,
+)
 from agility_ref.policy import Policy
 from agility_ref.selector import Single, oracle_hierarchy
 from agility_ref.stats import iqm
@@ -163,26 +172,6 @@ def test_the_same_figure_is_the_same_file(tmp_path):
     assert draw("a") == draw("b")
 
 
-def test_256_colours_keep_the_common_ones_and_a_rare_one(tmp_path):
-    rng = np.random.default_rng(0)
-    pixels = rng.integers(200, 256, (100, 100, 3)).astype(np.uint8)  # thousands of light colours
-    pixels[:50] = (201, 194, 180)
-    pixels[70, 70] = (213, 94, 0)
-    image = plots.paletted(pixels)
-    image.save(tmp_path / "x.png")
-    with Image.open(tmp_path / "x.png") as saved:
-        assert saved.mode == "P"
-        shown = np.asarray(saved.convert("RGB")).astype(int)
-    assert (shown[:50] == (201, 194, 180)).all()
-    assert np.abs(shown[70, 70] - (213, 94, 0)).max() < 20
-    assert np.abs(shown - pixels).mean() < 8
-
-
-def test_few_colours_are_exact():
-    pixels = np.arange(300, dtype=np.uint8).reshape(10, 10, 3)
-    assert np.array_equal(np.asarray(plots.paletted(pixels).convert("RGB")), pixels)
-
-
 # --- learning curves ----------------------------------------------------------------------
 
 
@@ -261,9 +250,9 @@ def test_strobe_draws_terrain_to_scale(single, tmp_path):
 
 
 def test_stretches_cover_the_array():
-    assert pictures.stretches(np.array([3, 3, 1, 1, 1, 3])) == [(0, 2), (2, 5), (5, 6)]
-    assert pictures.stretches(np.array([[0, 1], [0, 1], [0, 2]])) == [(0, 2), (2, 3)]
-    assert pictures.stretches(np.array([7])) == [(0, 1)]
+    assert stretches(np.array([3, 3, 1, 1, 1, 3])) == [(0, 2), (2, 5), (5, 6)]
+    assert stretches(np.array([[0, 1], [0, 1], [0, 2]])) == [(0, 2), (2, 3)]
+    assert stretches(np.array([7])) == [(0, 1)]
 
 
 def test_beams_show_their_sides_and_steps_have_none():
@@ -271,7 +260,7 @@ def test_beams_show_their_sides_and_steps_have_none():
         """Area of the sides that are drawn [m^2]."""
         course = make_course(kind, 0.5, 0)
         _, axes = plots.new_figure()
-        pictures.draw_ground(axes[0, 0], pictures.ground_along(course, *course.waypoints.T), height_map(course), -1.0)
+        draw_ground(axes[0, 0], ground_along(course, *course.waypoints.T), height_map(course), -1.0)
         x, y = axes[0, 0].collections[1].get_paths()[0].vertices.T
         return abs((x[:-1] * y[1:] - x[1:] * y[:-1]).sum()) / 2
 
@@ -320,7 +309,7 @@ def test_panel_totals_are_the_rewards(single):
 
 
 def test_gallery_names_its_dimensions():
-    figure = gallery.course_gallery(("climb-up", "gap", "beam"))
+    figure = pictures.course_gallery(("climb-up", "gap", "beam"))
     assert len(figure.axes) == 12
     texts = " ".join(t.get_text() for axis in figure.axes for t in axis.texts)
     for dimension in ("0.10 m", "0.45 m", "0.10 m wide", "0.80 m wide", "1.00 m\ndeep", "0.60 m", "0.12 m"):
@@ -344,7 +333,7 @@ def trained(tmp_path, monkeypatch, finished_run):
     "strobe oracle --environment climb-gap --period 1",
     "episode leap --environment gap --start 0 --seconds 1",
     "oracle-map oracle --environment beam --courses 1 --robots 2",
-    "skills", "framework", "courses",
+    "skills", "courses",
 ])  # fmt: skip
 def test_plot_commands_write_what_they_print(trained, capsys, command):
     assert main(["plot", *command.split()]) == 0
@@ -392,7 +381,7 @@ def test_plot_curves_of_shipped_weights(tmp_path, monkeypatch):
     ("episode walk --environment gap --start -1", ["start must lie within the episode", "got -1"]),
     ("strobe walk --environment gap --out walk.pdf", [".png", "'walk.pdf'"]),
     ("courses --seed -1", ["seed must be at least 0, not -1"]),
-    ("framework --out runs/full/walk/seed0/policy.npz/x.png", ["policy.npz"]),
+    ("courses --out runs/full/walk/seed0/policy.npz/x.png", ["policy.npz"]),
     ("curves", ["run folder"]),
     ("curves nowhere", ["nowhere", "progress.csv"]),
     ("curves runs/full/walk/seed0/policy.npz", ["policy.npz", "not shipped weights"]),

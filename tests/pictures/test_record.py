@@ -1,7 +1,7 @@
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluate, evaluation_env
-from agility_ref.pictures.record import Trace, play, play_trace, record
+from agility_ref.pictures.record import play, record, side_by_side
 from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
 from agility_ref.terrain import SKILLS, make_course
 from agility_ref.world import World
@@ -100,19 +100,20 @@ SHORT = EnvConfig(episode_seconds=0.6)
 FEW = EvaluationConfig(episodes=3, seed=1)
 
 
-def trace_of(hierarchy, environment="climb-gap"):
-    return play_trace(hierarchy, evaluation_env(environment, FEW, SHORT), environment, FEW.seed)
+def episodes_of(hierarchy, environment="climb-gap"):
+    return play(hierarchy, evaluation_env(environment, FEW, SHORT), environment, FEW.seed)
 
 
 @pytest.mark.parametrize("environment", ["climb-gap", "beam"])
-def test_a_trace_is_the_evaluation_step_by_step(five_skills, environment):
+def test_a_recording_is_the_evaluation_step_by_step(five_skills, environment):
     hierarchy = Hierarchy("leaper", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3), np.arange(5))
-    trace, evaluation = trace_of(hierarchy, environment), evaluate(hierarchy, environment, FEW, SHORT)
-    np.testing.assert_array_equal(trace.waypoint_fraction, evaluation.waypoint_fraction)
+    played, evaluation = episodes_of(hierarchy, environment), evaluate(hierarchy, environment, FEW, SHORT)
+    np.testing.assert_array_equal([e.reached / 8 for e in played], evaluation.waypoint_fraction)
+    np.testing.assert_array_equal(list(map(len, played)), evaluation.episode_length)
     steps = max(evaluation.episode_length)
-    np.testing.assert_array_equal(trace.skill[:steps], evaluation.skill[:steps])
-    np.testing.assert_array_equal(trace.oracle[:steps], evaluation.oracle[:steps])
-    assert trace.courses == evaluation_env(environment, FEW).world.courses
+    np.testing.assert_array_equal(side_by_side(played, "skill", -1), evaluation.skill[:steps])
+    np.testing.assert_array_equal(side_by_side(played, "wanted", -1), evaluation.oracle[:steps])
+    assert [e.course for e in played] == evaluation_env(environment, FEW).world.courses
 
 
 def test_shapes_and_ends(five_skills):
@@ -125,33 +126,28 @@ def test_shapes_and_ends(five_skills):
                 env._qpos[0, 1] = 5.0
             return super().act(observation, env)
 
-    trace = trace_of(Jump("jump", tuple(five_skills.values()), lambda o, env: np.full(len(o), 1)))
-    assert trace.skill.shape == trace.oracle.shape == (30, 3)
-    assert trace.position.shape == trace.velocity.shape == (30, 3, 3)
-    np.testing.assert_array_equal(trace.skill[:, 0], [1] * 3 + [-1] * 27)
-    assert not trace.wrong[3:, 0].any()  # nothing is wrong after the end
-    assert trace.skills == tuple(SKILLS) and trace.dt == 0.02
+    played = episodes_of(Jump("jump", tuple(five_skills.values()), lambda o, env: np.full(len(o), 1)))
+    assert [len(e) for e in played] == [3, 30, 30]
+    np.testing.assert_array_equal(side_by_side(played, "skill", -1)[:, 0], [1] * 3 + [-1] * 27)
+    assert side_by_side(played, "qvel").shape == (30, 3, 18) and not side_by_side(played, "qvel")[3:, 0].any()
+    assert played[0].skills == tuple(SKILLS) and played[0].dt == 0.02
 
 
 def test_velocity_moves_the_position(five_skills):
-    trace = trace_of(oracle_hierarchy("oracle", five_skills))
-    moved = np.diff(trace.position[:10], axis=0) / trace.dt
-    between = (trace.velocity[:9] + trace.velocity[1:10]) / 2
-    np.testing.assert_allclose(moved[..., :2], between[..., :2], atol=0.4)  # contacts act between two steps
-    assert np.corrcoef(moved[..., 0].ravel(), between[..., 0].ravel())[0, 1] > 0.8
+    for e in episodes_of(oracle_hierarchy("oracle", five_skills)):
+        moved = np.diff(e.qpos[:10, :3], axis=0) / e.dt
+        between = (e.qvel[:9, :3] + e.qvel[1:10, :3]) / 2
+        np.testing.assert_allclose(moved[..., :2], between[..., :2], atol=0.4)  # contacts act between two steps
+        assert np.corrcoef(moved[..., 0].ravel(), between[..., 0].ravel())[0, 1] > 0.8
 
 
 def test_the_oracle_is_never_wrong(five_skills):
-    assert not trace_of(oracle_hierarchy("oracle", five_skills)).wrong.any()
+    assert not any(e.wrong.any() for e in episodes_of(oracle_hierarchy("oracle", five_skills)))
 
 
-def test_spans_name_the_obstacles_of_each_course():
-    courses = [make_course("gap", 0.5, 0), make_course("climb-gap", 0.5, 0), make_course("walk", 0.5, 0)]
-    nothing = np.zeros((0, 3))
-    trace = Trace("p", "mixed", SKILLS, 0.02, courses, nothing, nothing, nothing, nothing, np.zeros(3))
-    leaps = trace.spans("leap")
-    assert leaps.shape == (3, 6, 2)  # six gaps at most
-    np.testing.assert_allclose(leaps[0], [(o.x0, o.x1) for o in courses[0].obstacles])
-    np.testing.assert_array_equal(np.isfinite(leaps[:, :, 0]).sum(axis=1), [6, 2, 0])
-    np.testing.assert_array_equal(np.isfinite(trace.spans("climb-up")[:, :, 0]).sum(axis=1), [0, 2, 0])
-    assert trace.spans("beam").shape == (3, 0, 2)
+@pytest.mark.parametrize("kind, leaps, climbs", [("gap", 6, 0), ("climb-gap", 2, 2), ("walk", 0, 0)])
+def test_spans_name_the_obstacles_of_the_course(make_episode, kind, leaps, climbs):
+    episode = make_episode([0.0], [0], [0], course=make_course(kind, 0.5, 0))
+    assert episode.spans("leap").shape == (leaps, 2) and episode.spans("climb-up").shape == (climbs, 2)
+    wanted = [(o.x0, o.x1) for o in episode.course.obstacles if o.skill == "leap"]
+    np.testing.assert_array_equal(episode.spans("leap"), np.reshape(wanted, (-1, 2)))

@@ -5,28 +5,25 @@ from agility_ref import evaluate
 from agility_ref.cli.main import main
 from agility_ref.env import EnvConfig
 from agility_ref.observation import NUM_SCANDOTS
-from agility_ref.pictures.record import Trace
 from agility_ref.results import diagnosis
 from agility_ref.results.diagnosis import (
     OFFSETS,
     abandoned_leap,
-    commonest,
     confusion,
+    diagnose,
     duration,
     inside,
-    kicked_back,
-    leapt_down,
     mean_interval,
-    measure,
     nearest_obstacle,
     odd_behaviours,
+    odd_marks,
     onsets,
     passes,
     profile,
     regret,
     wrong_share,
 )
-from agility_ref.terrain import SKILLS, Course, Obstacle, make_course
+from agility_ref.terrain import SKILLS, Obstacle, make_course
 
 import numpy as np
 import pytest
@@ -37,18 +34,27 @@ CHOSEN = np.array([[0, 3], [0, 3], [3, 0], [3, -1], [1, -1]])
 WANTED = np.array([[0, 0], [3, 3], [3, 0], [3, -1], [3, -1]])
 
 
-def hand_made(x, chosen=CHOSEN, wanted=WANTED, obstacles=(), reached=(0.0, 0.0)):
-    position = np.zeros((*np.shape(x), 3))
-    position[:, :, 0] = x
-    courses = [Course("gap", 0.5, (), tuple(obstacles), np.zeros((8, 2)))] * position.shape[1]
-    return Trace("p", "gap", SKILLS, 0.02, courses, chosen, wanted, position, 0 * position, np.array(reached))
+@pytest.fixture
+def hand_made(make_episode):
+    """Return a function that makes episodes from columns; a skill of -1 is after the end."""
+
+    def make(x, chosen=CHOSEN, wanted=WANTED, obstacles=(), reached=(0, 0)):
+        return [
+            make_episode(np.array(x)[c >= 0, n], c[c >= 0], w[c >= 0], obstacles=obstacles, reached=reached[n])
+            for n, (c, w) in enumerate(zip(np.array(chosen).T, np.array(wanted).T, strict=True))
+        ]
+
+    return make
+
+
+ONES = np.ones((5, 2))
 
 
 # --- choices ---------------------------------------------------------------------------
 
 
-def test_confusion_by_hand():
-    counts = confusion(CHOSEN, WANTED, 5)
+def test_confusion_by_hand(hand_made):
+    counts = confusion(hand_made(ONES))
     # wanted 0: chosen 0, 0 (end of the second), and 3 once; wanted 3: chosen 0, 3, 3, 1, and 3 once
     expected = np.zeros((5, 5), int)
     expected[0, 0], expected[0, 3] = 2, 1
@@ -57,24 +63,17 @@ def test_confusion_by_hand():
     assert counts.sum() == (CHOSEN >= 0).sum()
 
 
-def test_confusion_of_a_perfect_selector_is_diagonal():
-    counts = confusion(WANTED, WANTED, 5)
+def test_confusion_of_a_perfect_selector_is_diagonal(hand_made):
+    counts = confusion(hand_made(ONES, WANTED, WANTED))
     np.testing.assert_array_equal(counts, np.diag(np.diag(counts)))
 
 
-def test_commonest_by_hand():
-    # 0 three times, 1 once, 3 four times
-    assert commonest(CHOSEN) == (3, 0.5)
-    assert commonest(np.full((4, 3), 2)) == (2, 1.0)  # a collapse
-
-
-def test_regret_is_paired():
+def test_regret_is_paired(hand_made):
     # 0.5 - 0.25 and 0.75 - 0.5: always 0.25, so nothing is left to resample
-    trace = hand_made(np.ones((5, 2)), reached=(0.25, 0.5))
-    oracle = hand_made(np.ones((5, 2)), reached=(0.5, 0.75))
-    assert regret(trace, oracle) == {"mean": 0.25, "low": 0.25, "high": 0.25}
-    assert regret(oracle, trace)["mean"] == -0.25
-    assert regret(trace, trace) == {"mean": 0.0, "low": 0.0, "high": 0.0}
+    own, oracle = hand_made(ONES, reached=(2, 4)), hand_made(ONES, reached=(4, 6))
+    assert regret(own, oracle) == {"mean": 0.25, "low": 0.25, "high": 0.25}
+    assert regret(oracle, own)["mean"] == -0.25
+    assert regret(own, own) == {"mean": 0.0, "low": 0.0, "high": 0.0}
 
 
 def test_mean_interval_holds_the_mean():
@@ -85,29 +84,30 @@ def test_mean_interval_holds_the_mean():
 # --- places ----------------------------------------------------------------------------
 
 
-def test_nearest_obstacle_by_hand():
+def test_nearest_obstacle_by_hand(make_episode):
     obstacles = (Obstacle(3.0, 3.0, "climb-up"), Obstacle(5.0, 6.0, "leap"))
-    offset, kind = nearest_obstacle(hand_made([[1.0, 3.5], [4.1, 5.5], [6.5, 3.0]], obstacles=obstacles))
-    # to the step: 2, 0.5, 1.1, 2.5, 0 m behind it; to the gap: 4, 1.5, 0.9, 0 (inside), 0.5, 2
-    np.testing.assert_allclose(offset, [[-2.0, 0.5], [-0.9, 0.5], [1.5, 0.0]])
-    np.testing.assert_array_equal(kind, [[1, 1], [3, 3], [3, 1]])
+    x = [1.0, 4.1, 6.5, 3.5, 5.5, 3.0]
+    offset, kind = nearest_obstacle(make_episode(x, [0] * 6, [0] * 6, obstacles=obstacles))
+    # to the step: 2, 1.1, 3.5, 0.5, 2.5, 0 m; to the gap: 4, 0.9, 0.5, 1.5, 0 (inside), 2
+    np.testing.assert_allclose(offset, [-2.0, -0.9, 1.5, 0.5, 0.5, 0.0])
+    np.testing.assert_array_equal(kind, [1, 3, 3, 1, 3, 1])
 
 
-def test_no_obstacles_no_places():
-    trace = hand_made(np.ones((5, 2)))
-    assert np.isnan(nearest_obstacle(trace)[0]).all()
-    assert np.isnan(wrong_share(trace)).all()
+def test_no_obstacles_no_places(hand_made):
+    played = hand_made(ONES)
+    assert np.isnan(nearest_obstacle(played[0])[0]).all()
+    assert np.isnan(wrong_share(played)).all()
 
 
-def test_profile_by_hand():
-    offset, kind = np.array([[-0.5, 0.5], [0.5, 0.7]]), np.array([[3, 3], [3, 1]])
-    marked = np.array([[True, True], [True, True]])
-    counts = profile(offset, kind, marked, np.array([-1.0, 0.0, 1.0]))
+def test_profile_by_hand(make_episode):
+    obstacles = (Obstacle(9.0, 9.0, "climb-up"), Obstacle(5.0, 5.0, "leap"))
+    episode = make_episode([4.5, 5.5, 5.5, 9.7], [0] * 4, [0] * 4, obstacles=obstacles)
+    counts = profile(episode, np.ones(4, bool), np.array([-1.0, 0.0, 1.0]))
     np.testing.assert_array_equal(counts, [[0, 0], [0, 1], [0, 0], [1, 2], [0, 0]])
-    assert profile(offset, kind, ~marked).sum() == 0
+    assert profile(episode, np.zeros(4, bool)).sum() == 0
 
 
-def test_a_robot_that_stands_counts_once():
+def test_a_robot_that_stands_counts_once(hand_made):
     # Both come to x = 5.05: one stands there wrong for three steps, the other passes and is right.
     # The first was right before, at x = 4.95, where it was alone.
     x = np.array([[4.95, 5.05], [5.05, 9.0], [5.05, 9.0], [5.05, 9.0]])
@@ -122,22 +122,23 @@ def test_a_robot_that_stands_counts_once():
 
 
 @pytest.fixture
-def traces():
-    """Two environments of real courses, with paths drawn by hand."""
+def played(make_episode):
+    """Two environments of real courses, three episodes each, with paths drawn by hand."""
     rng = np.random.default_rng(0)
     found = []
     for kind in ("climb-gap", "beam"):
-        courses = [make_course(kind, 0.5, k) for k in range(3)]
-        skill, oracle = rng.integers(0, 5, (40, 3)), rng.integers(0, 5, (40, 3))
-        skill[30:, 1] = oracle[30:, 1] = -1
-        position = np.stack([np.linspace((1, 1, 1), (8, 6, 9), 40), *rng.normal(0, 0.1, (2, 40, 3))], axis=2)
-        found.append(Trace("p", kind, SKILLS, 0.02, courses, skill, oracle, position, 0 * position, rng.random(3)))
+        found.append([])
+        for n, steps, end in ((0, 40, 8), (1, 30, 6), (2, 40, 9)):
+            skill, oracle = rng.integers(0, 5, (2, steps))
+            course = make_course(kind, 0.5, n)
+            found[-1].append(make_episode(np.linspace(1, end, steps), skill, oracle, course=course, reached=n))
+            found[-1][-1].qpos[:, 1] = rng.normal(0, 0.1, steps)
     return found
 
 
-def test_measure_is_json_ready_and_adds_up(traces):
-    trace = traces[0]
-    report = measure(trace, trace, trace)
+def test_diagnosis_is_json_ready_and_adds_up(played):
+    episodes = played[0]
+    report = diagnose(episodes, episodes, episodes)
     assert json.loads(json.dumps(report, allow_nan=False)) == report
     counts = np.array(report["confusion"])
     assert counts.sum() == report["environment_steps"] == 30 + 40 + 40
@@ -148,21 +149,22 @@ def test_measure_is_json_ready_and_adds_up(traces):
 
 
 @pytest.mark.parametrize("draw", ["confusion_figure", "timeline_figure", "mistakes_figure"])
-def test_figures_are_drawn(traces, draw, tmp_path):
+def test_figures_are_drawn(played, draw, tmp_path):
     from agility_ref.pictures.plots import save_figure
 
-    for some in (traces, traces[:1]):
+    for some in (played, played[:1]):
         png, svg = save_figure(getattr(diagnosis, draw)(some), tmp_path / f"{draw}.png", "test")
         assert Image.open(png).size[0] > 400 and svg.stat().st_size > 1000
 
 
-def test_the_course_drawn_is_the_one_with_the_widest_mistakes(traces):
-    trace = traces[0]
-    trace.skill[:], trace.oracle[:] = 0, 0
-    trace.skill[:20, 0] = 1  # over half of the path
-    trace.skill[:, 2] = 1
-    trace.position[:, 2, 0] = 3.0  # it stands
-    assert diagnosis.widest_mistakes(trace) == 0
+def test_the_course_drawn_is_the_one_with_the_widest_mistakes(played):
+    episodes = played[0]
+    for e in episodes:
+        e.skill[:], e.wanted[:] = 0, 0
+    episodes[0].skill[:20] = 1  # over half of the path
+    episodes[2].skill[:] = 1
+    episodes[2].qpos[:, 0] = 3.0  # it stands
+    assert diagnosis.widest_mistakes(episodes) == 0
 
 
 # --- the command -----------------------------------------------------------------------
@@ -179,7 +181,7 @@ def weights(monkeypatch, tmp_path, finished_run):
     finished_run(tmp_path / "runs", "ps-rl-3-oracle", act_dim=3)
     original = evaluate.evaluation_env
     short = EnvConfig(episode_seconds=0.3)
-    monkeypatch.setattr(evaluate, "evaluation_env", lambda environment, config: original(environment, config, short))
+    monkeypatch.setattr(diagnosis, "evaluation_env", lambda environment, config: original(environment, config, short))
 
 
 @pytest.mark.parametrize("policy, skills", [("oracle", 5), ("ps-sl-5", 5), ("ps-rl-3", 3)])
@@ -219,11 +221,8 @@ def test_bad_input_is_one_line(weights, capsys, command, expected):
         assert text in err
 
 
-def test_measure_by_hand():
-    ones = np.ones((5, 2))
-    report = measure(
-        hand_made(ones, reached=(0.25, 0.5)), hand_made(ones, reached=(1.0, 1.0)), hand_made(ones, reached=(0.5, 0.5))
-    )
+def test_diagnosis_by_hand(hand_made):
+    report = diagnose(hand_made(ONES, reached=(2, 4)), hand_made(ONES, reached=(8, 8)), hand_made(ONES, reached=(4, 4)))
     # right in steps 0, 2, 3 of 5, and in steps 1, 2 of 3
     assert report["accuracy"]["mean"] == pytest.approx((3 / 5 + 2 / 3) / 2)
     # 0 0 3 3 1 and 3 3 0: two changes in 0.1 s, one in 0.06 s;  wanted 0 3 3 3 3 and 0 3 0: one and two
@@ -234,32 +233,28 @@ def test_measure_by_hand():
     assert report["regret"]["mean"] == 0.625 and report["regret_same_skills"]["mean"] == 0.125
 
 
-def test_a_long_obstacle_is_near_along_its_whole_span():
+def test_a_long_obstacle_is_near_along_its_whole_span(make_episode):
     obstacles = (Obstacle(5.0, 6.0, "leap"), Obstacle(6.5, 6.5, "climb-up"))
-    offset, kind = nearest_obstacle(hand_made([[5.9, 6.4]], obstacles=obstacles))
-    np.testing.assert_allclose(offset, [[0.9, -0.1]])  # in the gap, though the step is nearer than the gap's beginning
-    np.testing.assert_array_equal(kind, [[3, 1]])
+    offset, kind = nearest_obstacle(make_episode([5.9, 6.4], [0, 0], [0, 0], obstacles=obstacles))
+    np.testing.assert_allclose(offset, [0.9, -0.1])  # in the gap, though the step is nearer than the gap's beginning
+    np.testing.assert_array_equal(kind, [3, 1])
 
 
 W, U, D, L, B = range(5)  # walk, climb-up, climb-down, leap, beam
 
-# --- odd behaviours: detectors by hand, columns are episodes, rows control steps of 0.02 s ----
-
-
-def column(values, kind=None):
-    return np.array(values, kind)[:, None]
+# --- odd behaviours: detectors by hand, control steps of 0.02 s ----------------------------
 
 
 def test_onsets_and_duration_of_runs():
-    mask = column([1, 1, 0, 0, 1, 0, 1, 1, 1], bool)
-    np.testing.assert_array_equal(onsets(mask)[:, 0], [1, 0, 0, 0, 1, 0, 1, 0, 0])
-    np.testing.assert_array_equal(duration(mask)[:, 0], [1, 2, 0, 0, 1, 0, 1, 2, 3])
+    mask = np.array([1, 1, 0, 0, 1, 0, 1, 1, 1], bool)
+    np.testing.assert_array_equal(onsets(mask), [1, 0, 0, 0, 1, 0, 1, 0, 0])
+    np.testing.assert_array_equal(duration(mask), [1, 2, 0, 0, 1, 0, 1, 2, 3])
 
 
-def test_inside_takes_the_spans_of_its_own_episode():
-    spans = np.array([[[1.0, 2.0], [4.0, 5.0]], [[3.0, 3.5], [np.nan, np.nan]]])
-    x = np.array([[0.9, 0.9], [1.0, 1.5], [3.2, 3.2], [4.5, 4.5]])
-    np.testing.assert_array_equal(inside(x, spans), [[0, 0], [1, 0], [0, 1], [1, 0]])
+def test_inside_takes_any_of_the_spans():
+    spans = np.array([[1.0, 2.0], [4.0, 5.0]])
+    np.testing.assert_array_equal(inside(np.array([0.9, 1.0, 3.2, 4.5]), spans), [0, 1, 0, 1])
+    assert not inside(np.array([0.9]), np.zeros((0, 2))).any()
 
 
 @pytest.mark.parametrize("skills, pit, expected", [
@@ -270,56 +265,50 @@ def test_inside_takes_the_spans_of_its_own_episode():
     ([L, L, L, L, U, U], 5, None),  # the pit comes too late: climb-up acts already
     ([W, L, L, W, U, U], None, None),  # walk came between
     ([W, L, L, D, D, D], None, None),  # climbing down is no fake
-    ([W, L, L, -1, -1, -1], None, None),  # the episode ended
+    ([W, L, L], None, None),  # the episode ended
 ])  # fmt: skip
 def test_abandoned_leap(skills, pit, expected):
-    over_pit = np.zeros((6, 1), bool)
+    over_pit = np.zeros(len(skills), bool)
     if pit is not None:
         over_pit[pit:] = True
-    found = abandoned_leap(column(skills), over_pit, L, U, begun=2, over=3)
+    found = abandoned_leap(np.array(skills), over_pit, L, U, begun=2, over=3)
     np.testing.assert_array_equal(np.flatnonzero(found), [] if expected is None else [expected])
 
 
-def test_passing_an_edge_is_forwards_and_within_the_episode():
-    x = column([0.8, 0.95, 1.05, 0.9, 1.0, 0.5, 1.2])
-    alive = column([1, 1, 1, 1, 1, 1, 0], bool)
-    edges = np.array([[1.0, np.nan]])
-    # 0.95 -> 1.05 and 0.9 -> 1.0; back is no passing, and 0.5 -> 1.2 is the next episode's start
-    np.testing.assert_array_equal(np.flatnonzero(passes(x, alive, edges)), [1, 3])
+def test_passing_an_edge_is_forwards():
+    x = np.array([0.8, 0.95, 1.05, 0.9, 1.0, 0.5])
+    # 0.95 -> 1.05 and 0.9 -> 1.0; back is no passing
+    np.testing.assert_array_equal(np.flatnonzero(passes(x, np.array([1.0]))), [1, 3])
 
 
-def test_leapt_down():
-    x = column([0.8, 0.95, 1.05, 0.9, 1.1, 1.2])
-    edges = np.array([[1.0]])
-    for skill, expected in (
-        ([L, L, W, W, W, W], [1]),  # leaps off, comes back, walks off
-        ([W, W, L, L, L, L], [3]),
-        ([D, D, L, W, D, D], []),
-    ):
-        np.testing.assert_array_equal(np.flatnonzero(leapt_down(x, column(skill), edges, L)), expected)
+@pytest.mark.parametrize("skill, expected", [
+    ([L, L, W, W, W, W], [1]),  # leaps off, comes back, walks off
+    ([W, W, L, L, L, L], [3]), ([D, D, L, W, D, D], []),
+])  # fmt: skip
+def test_leapt_down(make_episode, skill, expected):
+    x = [0.8, 0.95, 1.05, 0.9, 1.1, 1.2]
+    marks = odd_marks(make_episode(x, skill, skill, obstacles=[Obstacle(1.0, 1.0, "climb-down")]))
+    np.testing.assert_array_equal(np.flatnonzero(marks["leapt_down"][0]), expected)
 
 
-def test_kicked_back_needs_to_be_near_and_faster_than_a_push():
-    vx = column([-0.6, -0.4, -0.6, 0.9, -2.0])
-    near = column([1, 1, 0, 1, 1], bool)
-    np.testing.assert_array_equal(kicked_back(vx, near)[:, 0], [1, 0, 0, 0, 1])
+def test_kicked_back_needs_to_be_near_and_faster_than_a_push(make_episode):
+    x, vx = [1.5, 1.5, 1.0, 1.5, 1.5], [-0.6, -0.4, -0.6, 0.9, -2.0]  # 1.0 is not within 0.6 m of the step at 2.0
+    marks = odd_marks(make_episode(x, [B] * 5, [B] * 5, vx=vx, obstacles=[Obstacle(2.0, 2.0, "climb-up")]))
+    np.testing.assert_array_equal(marks["kicked_back"][0], [1, 0, 0, 0, 1])
 
 
-def one_of_each(skills=SKILLS):
+@pytest.fixture
+def one_of_each(make_episode):
     """One episode: a leap given up for climb-up, a kick before the up-step at 2 m, a leap off the one at 3 m."""
     obstacles = (Obstacle(2.0, 2.0, "climb-up"), Obstacle(3.0, 3.0, "climb-down"))
-    course = Course("climb", 0.5, (), obstacles, np.zeros((8, 2)))
-    chosen = [L] * 6 + [U] * 2 + [B] * 3 + [W] + [L] * 2 + [-1]
-    x = [1.0] * 6 + [1.1] * 2 + [1.5, 1.5, 1.4] + [1.45] + [2.95, 3.1] + [1.0]
-    vx = [0.5] * 8 + [0.3, -0.9, -0.8] + [0.5] + [2.0, 2.0] + [0.0]
-    position, velocity = np.zeros((15, 1, 3)), np.zeros((15, 1, 3))
-    position[:, 0, 0], velocity[:, 0, 0] = x, vx
-    skill = column(chosen)
-    return Trace("p", "climb", skills, 0.02, [course], skill, skill, position, velocity, np.zeros(1))
+    chosen = [L] * 6 + [U] * 2 + [B] * 3 + [W] + [L] * 2
+    x = [1.0] * 6 + [1.1] * 2 + [1.5, 1.5, 1.4] + [1.45] + [2.95, 3.1]
+    vx = [0.5] * 8 + [0.3, -0.9, -0.8] + [0.5] + [2.0, 2.0]
+    return lambda skills=SKILLS: make_episode(x, chosen, chosen, vx=vx, obstacles=obstacles, skills=skills)
 
 
-def test_a_hand_made_episode_has_one_of_each():
-    assert odd_behaviours(one_of_each()) == {
+def test_a_hand_made_episode_has_one_of_each(one_of_each):
+    assert odd_behaviours([one_of_each()]) == {
         # six steps of leap are 0.12 s: begun, and not yet over
         "abandoned_leap": {"events": 1, "episodes": 1, "chances": 1},
         # the robot is between 2.95 and 3.1 m under leap
@@ -331,20 +320,18 @@ def test_a_hand_made_episode_has_one_of_each():
     }
 
 
-def test_what_a_policy_lacks_is_none():
-    found = odd_behaviours(one_of_each(("walk", "climb", "stand", "leap")))
+def test_what_a_policy_lacks_is_none(one_of_each):
+    found = odd_behaviours([one_of_each(("walk", "climb", "stand", "leap", "sit"))])
     assert found["beam_before_up_step"] is None and found["kicked_back"] is None
     assert found["abandoned_leap"]["events"] == 1  # its one skill for climbing counts as climb-up
 
 
-def test_two_events_of_one_episode_and_steps_after_the_end():
+def test_two_events_of_one_episode(one_of_each):
     """The hand-made episode twice over within one, and a down-step that is walked."""
     one = one_of_each()
-    recorded = {name: getattr(one, name) for name in ("skill", "position", "velocity")}
-    twice = {name: np.concatenate([values[:14], values[:14], values[14:]]) for name, values in recorded.items()}
+    twice = {name: np.concatenate([getattr(one, name)] * 2) for name in ("skill", "wanted", "qpos", "qvel")}
     twice["skill"][26:28] = W  # the second time it walks off
-    twice["position"][-1, 0, 0] = 1.5  # after the end it stands before the up-step
-    found = odd_behaviours(replace(one, oracle=twice["skill"], **twice))
-    assert found["abandoned_leap"] == {"events": 2, "episodes": 1, "chances": 2}
-    assert found["leapt_down"] == {"events": 1, "episodes": 1, "chances": 2}
-    assert found["beam_before_up_step"] == {"events": 2, "episodes": 1, "chances": 2}
+    found = odd_behaviours([replace(one, **twice), one])
+    assert found["abandoned_leap"] == {"events": 3, "episodes": 2, "chances": 3}
+    assert found["leapt_down"] == {"events": 2, "episodes": 2, "chances": 3}
+    assert found["beam_before_up_step"] == {"events": 3, "episodes": 2, "chances": 3}

@@ -174,8 +174,8 @@ def played(tmp_path, monkeypatch, finished_run):
     return log
 
 
-def compute(tmp_path, seeds=(0,), folder="cells", **options):
-    return table1.compute(TWO, TrainConfig(out=str(tmp_path / "runs")), tmp_path / folder, seeds, **options)
+def compute(tmp_path, seeds=(0,), folder="cells"):
+    return table1.compute(TWO, TrainConfig(out=str(tmp_path / "runs")), tmp_path / folder, seeds)
 
 
 def test_compute_without_weights_says_what_is_missing(tmp_path, monkeypatch):
@@ -186,13 +186,12 @@ def test_compute_without_weights_says_what_is_missing(tmp_path, monkeypatch):
 
 
 def test_compute_fills_the_cells_that_have_weights(tmp_path, played):
-    seen = []
-    found, missing = compute(tmp_path, on_play=lambda *cell: seen.append(cell))
+    found, missing = compute(tmp_path)
     filled = {(r.environment, r.policy) for r in table_rows(found) if r.ours}
     assert filled == {(e, "Walk") for e in ENVIRONMENT_LABELS.values()} | {
         (e, "Climb") for e in ENVIRONMENT_LABELS.values() if e != "Beam"
     }
-    assert seen == [(p, e, 0) for p, e in played] and len(seen) == 7
+    assert list(found) == [(p, e, 0) for p, e in played] and len(found) == 7
     assert any("agility-ref train leap" in line for line in missing)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 ROBOTS, STEPS = 256, 16
+STEPS_IN_ALL = 600_000  # the grader's budget is in tests/training.csv
 OBS, ACT = SCANDOTS.start, 12
 TASK = EnvConfig(episode_seconds=8.0).clean()
 
@@ -51,8 +52,14 @@ def collect(env: Go1Env, policy: Policy, normaliser: adapters.Normaliser, obs: n
     return batch, np.concatenate(raw), obs
 
 
-def train(steps: int, seed: int, report=lambda **_: None) -> tuple[Policy, adapters.Normaliser]:
-    """Train for a number of environment steps; ``report`` is called after every iteration with what it did."""
+def train(steps: int, seed: int, report=lambda **_: None) -> tuple[Policy, adapters.Normaliser, float]:
+    """Train for a number of environment steps.
+
+    Returns policy, normaliser, and how fast the robots went ahead in the last tenth of the training [m/s]: the mean
+    over all of them, those that have just begun or fallen included, with the noise by which they explore.
+
+    ``report`` is called after every iteration with what it did.
+    """
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
@@ -62,10 +69,12 @@ def train(steps: int, seed: int, report=lambda **_: None) -> tuple[Policy, adapt
     optimiser = torch.optim.Adam(policy.parameters(), 1e-3)
     obs = env.reset(seed)[0][:, :OBS]
     normaliser.update(obs)
+    speeds = []
     for done in range(0, steps, ROBOTS * STEPS):
         batch, raw, obs = collect(env, policy, normaliser, obs, generator, config)
         kl = adapters.update(policy, optimiser, batch, config, generator)
         normaliser.update(raw)
+        speeds.append(raw[:, 0].mean())  # an observation begins with the trunk's velocity ahead
         with torch.no_grad():  # explore less and less
             policy.log_std.clamp_(max=float(np.log(0.6 - 0.35 * done / steps)))
         report(
@@ -74,37 +83,39 @@ def train(steps: int, seed: int, report=lambda **_: None) -> tuple[Policy, adapt
             rate=optimiser.param_groups[0]["lr"],
             policy=policy,
             normaliser=normaliser,
+            speed=speeds[-1],
         )
-    return policy, normaliser
+    return policy, normaliser, float(np.mean(speeds[-(len(speeds) // 10) :]))
 
 
-def waypoints(policy: Policy, normaliser: adapters.Normaliser, seed: int = 0) -> float:
-    """Return the waypoints that the mean action reaches in 8 s, mean over 32 robots; the first stands 1 m ahead."""
+def distance(policy: Policy, normaliser: adapters.Normaliser, seed: int = 0) -> float:
+    """Return how far the mean action gets within 8 s or until a fall [m], mean over 32 robots."""
     env = Go1Env(World([make_course("walk", 0.0, seed)]), 32, TASK, seed=seed)
     obs, _ = env.reset(seed)
-    alive, count = np.ones(32, bool), np.zeros(32)
+    alive, start = np.ones(32, bool), env.base_pos[:, 0]
+    x = start.copy()
     while alive.any():
+        x[alive] = env.base_pos[alive, 0]
         with torch.no_grad():
             action = policy.mean(torch.from_numpy(normaliser(obs[:, :OBS]))).numpy()
-        obs, _, terminated, truncated, info = env.step(action)
-        count[alive] = info["totals"]["waypoints"][alive]
+        obs, _, terminated, truncated, _ = env.step(action)
         alive &= ~(terminated | truncated)
-    return float(count.mean())
+    return float((x - start).mean())
 
 
 def main() -> None:
-    """Train with the budget of the grader and say every ten iterations how far the robot gets."""
+    """Train with the budget of the grader and say every twenty iterations how far the robot gets."""
     log = iter(range(10**6))
 
-    def report(steps, kl, rate, policy, normaliser):
-        if next(log) % 10 == 9:
+    def report(steps, kl, rate, policy, normaliser, speed):
+        if next(log) % 20 == 19:
             print(
-                f"{steps:8} steps  KL {kl:.4f}  step size {rate:.1e}  waypoints {waypoints(policy, normaliser):.2f}",
+                f"{steps:8} steps  KL {kl:.4f}  step size {rate:.1e}  speed {speed:.3f} m/s  distance {distance(policy, normaliser):.2f} m",
                 flush=True,
             )
 
-    policy, normaliser = train(500_000, 0, report)
-    print(f"waypoints {waypoints(policy, normaliser):.2f}")
+    policy, normaliser, speed = train(STEPS_IN_ALL, 0, report)
+    print(f"speed {speed:.3f} m/s, distance without noise {distance(policy, normaliser):.2f} m")
 
 
 if __name__ == "__main__":

@@ -3,9 +3,20 @@ import math
 import re
 
 from agility_ref.evaluate import METRICS, EvaluationConfig
-from agility_ref.results import table_output
-from agility_ref.results.table1 import Row, Summary, paper_cells, table_rows
-from agility_ref.results.table_output import csv_line, format_value, latex, markdown, text, title, write_all
+from agility_ref.results.table1 import (
+    NOTES,
+    Row,
+    Summary,
+    csv_line,
+    format_value,
+    latex,
+    markdown,
+    paper_cells,
+    table_rows,
+    text,
+    title,
+    write_all,
+)
 
 import pytest
 
@@ -45,18 +56,18 @@ def test_format_value(value, metric, printed):
 
 
 @pytest.mark.parametrize("config, expected", [
-    (EvaluationConfig(), "Table 1, preset full, 64 episodes a cell, training seeds 0, 2"),
+    (EvaluationConfig(), "Table 1, preset full, 64 episodes per cell, training seeds 0, 2"),
     (EvaluationConfig(256, protocol="as-published"),
-     "Table 1, preset full, 256 robots a cell, counted as-published, training seeds 0, 2"),
+     "Table 1, preset full, 256 robots per cell, counted as-published, training seeds 0, 2"),
     (EvaluationConfig(8, preset="quick", difficulty=0.3, clean=True),
-     "Table 1, preset quick, 8 episodes a cell, difficulty 0.3, without noise and pushes, training seeds 0, 2"),
+     "Table 1, preset quick, 8 episodes per cell, difficulty 0.3, without noise and pushes, training seeds 0, 2"),
 ])  # fmt: skip
 def test_title(rows, config, expected):
     assert title(config, rows) == expected
 
 
 def test_title_without_weights():
-    assert title(EvaluationConfig(), fill(None)) == "Table 1, preset full, 64 episodes a cell"
+    assert title(EvaluationConfig(), fill(None)) == "Table 1, preset full, 64 episodes per cell"
 
 
 def test_markdown_has_a_line_a_row_in_both_tables(rows):
@@ -176,4 +187,4 @@ def test_write_all(ours, tmp_path):
 
 def test_every_note_is_used(rows):
     page = markdown(rows)
-    assert all(note in page for note in table_output.NOTES)
+    assert all(note in page for note in NOTES)
