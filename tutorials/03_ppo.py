@@ -199,7 +199,7 @@ show(figure, "03_clipped_objective")
 # To see it in seconds, take a runner in the plane.  It starts at $x = 0$ and sets its velocity $(v_x, v_y)$, at most 1 m/s
 # each, ten times a second.  It gets a reward for being alive and one for running forwards,
 #
-# $$r = 0.5 + 0.5\, v_x - y^2,$$
+# $$r = 0.2 + 0.8\, v_x - y^2 \quad \text{per second},$$
 #
 # and its episode is truncated at $x = 4$ m (well done!) or after 10 s.  It never dies.  The observation is
 # $(x, y, v_x, v_y)$; left and right are alike, which `Mirror` says with a sign (tutorial 4).
@@ -236,7 +236,7 @@ class Runner:
         self.state[:, :2] += self.DT * velocity
         self.state[:, 2:] = velocity
         self.age += 1
-        reward = self.DT * (0.5 + 0.5 * velocity[:, 0] - self.state[:, 1] ** 2)
+        reward = self.DT * (0.2 + 0.8 * velocity[:, 0] - self.state[:, 1] ** 2)
         self.total += reward
         arrived = self.state[:, 0] >= self.GOAL
         over = arrived | (self.age >= self.LIMIT)
@@ -310,9 +310,9 @@ print(f"time: {time.perf_counter() - STARTED:.0f} s")
 # %% [markdown]
 # <details><summary>Answer, and the surprise</summary>
 #
-# The learner with the bug believes that the world ends at the goal.  Behind it is nothing, before it 0.5 a second for being
-# alive, so it keeps away from the goal, however far, and waits until the clock runs out.  It is an excellent solution of the
-# wrong problem.
+# The learner with the bug believes that the world ends at the goal.  Behind it is nothing, before it 0.2 a second for being
+# alive.  So it runs, because running pays, gets slower and slower, and never arrives: it waits in front of the goal until
+# the clock runs out.  It is an excellent solution of the wrong problem.
 #
 # The surprise is the left picture: **its return is the higher one**.  A runner that arrives stops collecting, so by the
 # curve that everybody watches, the bug is an improvement.  Nothing crashes, the losses fall, the reward rises.  Two things
@@ -321,7 +321,7 @@ print(f"time: {time.perf_counter() - STARTED:.0f} s")
 #
 # </details>
 #
-# **Try.**  Give the reward no 0.5 for being alive.  Is the bug then harmless?
+# **Try.**  Give the reward no 0.2 for being alive.  Is the bug then harmless?
 #
 # <details><summary>Answer</summary>
 #
