@@ -26,8 +26,6 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.curriculum import CurriculumConfig
 from agility_ref.errors import UserError, one_line
 from agility_ref.evaluate import METRICS
@@ -40,8 +38,10 @@ from agility_ref.training import weights
 from agility_ref.training.bank import find_weights, run_folder
 from agility_ref.training.policies import find_policy
 from agility_ref.training.progress import EPISODE, PROGRESS, rows_until
-from agility_ref.training.resume import check_arrays, go_on, going_on
 from agility_ref.training.runs import TrainConfig, make_env
+
+import numpy as np
+from agility_ref.training.resume import check_arrays, go_on, going_on
 
 PPO = PPOConfig(num_envs=4, num_steps=4, hidden=(8,))
 WORDS = (
