@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from tqdm import tqdm
 
 from agility_ref.curriculum import find_preset
 from agility_ref.env import EnvConfig, Go1Env
@@ -294,6 +295,7 @@ def rollout(
     observation, _ = env.reset(seed)
     policy.reset()
     r: dict[str, list[np.ndarray]] = defaultdict(list)
+    bar = tqdm(total=env.max_steps, desc=policy.name, unit="step", leave=False, delay=3, disable=None)
     while not r["done"] or not enough(r["done"]):
         if isinstance(policy, Hierarchy):
             r["oracle"].append(policy.labels[env.oracle_skill()])
@@ -310,4 +312,6 @@ def rollout(
         r["terminated"].append(terminated)
         r["done"].append(terminated | truncated)
         policy.reset(np.flatnonzero(terminated | truncated))
+        bar.update()
+    bar.close()
     return {name: np.array(values) for name, values in r.items()}

@@ -116,6 +116,7 @@ def frames(episode: "Episode", config: VideoConfig = VideoConfig()) -> Iterator[
     UserError : as check_video
     """
     import mujoco
+    from tqdm import tqdm
 
     from agility_ref.pictures.scene import make_scene, mark_waypoints
 
@@ -128,7 +129,7 @@ def frames(episode: "Episode", config: VideoConfig = VideoConfig()) -> Iterator[
     steps = np.minimum(np.round(times / episode.dt).astype(int), len(episode) - 1)
     gaze = None
     with open_renderer(model, config) as renderer:
-        for t in steps:
+        for t in tqdm(steps, desc="film", unit="frame", leave=False, disable=None):
             data.qpos[:] = episode.qpos[t]
             mark_waypoints(model, episode.waypoint_index[t])
             mujoco.mj_kinematics(model, data)
