@@ -18,6 +18,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
+<<<<<<< HEAD
+=======
+import numpy as np
+from tqdm import tqdm
+
+>>>>>>> rooms
 from agility_ref.curriculum import find_preset
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError, unknown_name
@@ -282,6 +288,7 @@ def rollout(
     """
     observation, _ = env.reset(seed)
     r: dict[str, list[np.ndarray]] = defaultdict(list)
+    bar = tqdm(total=env.max_steps, desc=policy.name, unit="step", leave=False, delay=3, disable=None)
     while not r["done"] or not enough(r["done"]):
         if isinstance(policy, Hierarchy):
             r["oracle"].append(policy.labels[env.oracle_skill()])
@@ -297,4 +304,10 @@ def rollout(
         r["edge"].append(info["feet_on_edge"])
         r["terminated"].append(terminated)
         r["done"].append(terminated | truncated)
+<<<<<<< HEAD
+=======
+        policy.reset(np.flatnonzero(terminated | truncated))
+        bar.update()
+    bar.close()
+>>>>>>> rooms
     return {name: np.array(values) for name, values in r.items()}
