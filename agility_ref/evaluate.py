@@ -18,12 +18,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
-<<<<<<< HEAD
-=======
-import numpy as np
-from tqdm import tqdm
-
->>>>>>> rooms
 from agility_ref.curriculum import find_preset
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError, unknown_name
@@ -32,6 +26,7 @@ from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, make_course
 from agility_ref.world import World
 
 import numpy as np
+from tqdm import tqdm
 
 METRICS = ("reward", "episode_length", "waypoint_fraction", "edge_violation")
 PROTOCOLS = ("complete", "as-published")
@@ -304,10 +299,6 @@ def rollout(
         r["edge"].append(info["feet_on_edge"])
         r["terminated"].append(terminated)
         r["done"].append(terminated | truncated)
-<<<<<<< HEAD
-=======
-        policy.reset(np.flatnonzero(terminated | truncated))
         bar.update()
     bar.close()
->>>>>>> rooms
     return {name: np.array(values) for name, values in r.items()}

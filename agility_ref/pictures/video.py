@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from agility_ref.pictures.record import Episode
 
     import mujoco
+    from tqdm import tqdm
 
 LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}  # Debian's names, in order
 ADVICE = (
@@ -120,12 +121,6 @@ def frames(episode: "Episode", config: VideoConfig = VideoConfig()) -> Iterator[
     ------
     UserError : as check_video
     """
-<<<<<<< HEAD
-=======
-    import mujoco
-    from tqdm import tqdm
-
->>>>>>> rooms
     from agility_ref.pictures.scene import make_scene, mark_waypoints
 
     import mujoco
