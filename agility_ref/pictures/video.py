@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from agility_ref.pictures.record import Episode
 
     import mujoco
-    from tqdm import tqdm
 
 LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}  # Debian's names, in order
 ADVICE = (
@@ -124,6 +123,7 @@ def frames(episode: "Episode", config: VideoConfig = VideoConfig()) -> Iterator[
     from agility_ref.pictures.scene import make_scene, mark_waypoints
 
     import mujoco
+    from tqdm import tqdm
 
     check_video(config)
     model = make_scene(episode.course)
