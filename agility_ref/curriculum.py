@@ -1,8 +1,9 @@
 """Curriculum: which course a robot is put on when its episode ends.
 
-Paper section 4.2: "Curriculum is crucial for the robot to learn anything."  The rule is
-the game-like one of Extreme Parkour with the waypoint fraction as the score: up a level
-after a good episode, two after a completed course, down after a bad one.
+Paper section 4.2: "Curriculum is crucial for the robot to learn anything."  As in Extreme
+Parkour, robots move up to harder courses where they do well and down where they do not.  What
+differs: there each robot has a level of its own, here all robots on a kind of course share one,
+which a hundred times as many episodes measure.
 
 A :class:`Preset` names the hardest course of a run, in training and in evaluation.
 
@@ -12,11 +13,12 @@ Out: the index of each robot's next course in the :class:`~agility_ref.world.Wor
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from agility_ref.errors import unknown_name
+from agility_ref.errors import require_at_least, unknown_name
+from agility_ref.files import pack_stream, unpack_stream
 from agility_ref.terrain import EASIEST, make_course
 from agility_ref.world import World
+
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -24,8 +26,7 @@ class Preset:
     """A scale at which the whole table can be trained."""
 
     name: str
-    max_difficulty: float
-    """Hardest difficulty in training, and the top of the range in evaluation."""
+    max_difficulty: float  # hardest difficulty in training, and the top of the range in evaluation
 
 
 PRESETS = {"quick": Preset("quick", 0.4), "full": Preset("full", 1.0)}
@@ -45,22 +46,21 @@ def find_preset(name: str) -> Preset:
 
 @dataclass(frozen=True)
 class CurriculumConfig:
-    """How levels are laid out and when a robot moves between them."""
+    """How levels are laid out and when a kind of course moves between them."""
 
-    num_levels: int = 10
-    """Levels between the easiest and the hardest course; usual 5 to 20."""
-    variants: int = 4
-    """Courses per kind and level, drawn with different seeds; usual 2 to 10."""
-    promote: float = 0.75
-    """Waypoint fraction at or above which a robot moves up; usual 0.6 to 0.9."""
-    demote: float = 0.4
-    """Waypoint fraction below which a robot moves down; usual 0.2 to 0.5."""
-    easy_share: float = 0.25
-    """Share of resets to a level drawn at or below the robot's own, against forgetting; 0 to 0.5."""
-    top_easy_share: float = 0.5
-    """The same, in addition, for robots at the top, where the easy levels are furthest away; 0 to 0.8."""
-    enabled: bool = True
-    """False draws every level uniformly, the ablation of section 4.2."""
+    num_levels: int = 10  # levels between the easiest and the hardest course; usual 5 to 20
+    variants: int = 4  # courses per kind and level, drawn with different seeds; usual 2 to 10
+    promote: float = 0.75  # score at which a kind moves up; usual 0.6 to 0.9
+    demote: float = 0.25  # score below which a kind moves down; usual 0.1 to 0.4
+    first_score: float = 0.4  # score that a new frontier starts with, between the two
+    score_step: float = 0.04  # share by which one episode moves the score; usual 0.02 to 0.1
+    easy_share: float = 0.3  # share of episodes at or below the frontier, against forgetting; 0 to 0.5
+    top_easy_share: float = 0.625  # the same once the frontier is the top; 0 to 0.8
+    kind_floor: float = 0.1  # a kind is drawn with this weight plus its distance from the top; inf: evenly
+    enabled: bool = True  # False draws every level uniformly, the ablation of section 4.2
+
+    def __post_init__(self):
+        require_at_least(1, num_levels=self.num_levels, variants=self.variants)
 
 
 def level_difficulties(kind: str, max_difficulty: float, num_levels: int) -> np.ndarray:
@@ -80,26 +80,25 @@ def training_world(kinds: tuple[str, ...], config: CurriculumConfig, max_difficu
 
 
 class Curriculum:
-    """Levels of N robots; a robot stays on one kind, and on one variant of every level, for life.
+    """One frontier level per kind of course, shared by all robots.
 
-    Kinds and variants are dealt out in blocks: neighbouring robots then share courses, and
-    physics that stays in the processor's cache is a tenth faster.  With fewer robots than kinds
-    some kinds have none.
+    Every episode played on the frontier moves the score of its kind towards its waypoint
+    fraction, and the score moves the frontier.  Kinds that lag are played more often.
 
-    ``level`` is what a robot has earned, ``played`` what its episode is on: now and then an
-    easier one, which is not scored.
+    A robot keeps its variant for life, dealt out in blocks: neighbouring robots then share courses,
+    and physics that stays in the processor's cache is a tenth faster.
     """
 
     def __init__(self, num_kinds: int, num_envs: int, config: CurriculumConfig, seed: int):
         self.config = config
-        block = np.arange(num_envs) * num_kinds * config.variants // num_envs
-        self.kind, self.variant = block // config.variants, block % config.variants
-        self.level = np.zeros(num_envs, int)
-        self.played = np.zeros(num_envs, int)
+        self.frontier = np.zeros(num_kinds, int)
+        self.score = np.full(num_kinds, config.first_score)
+        self.variant = np.arange(num_envs) * config.variants // num_envs
+        self.kind, self.level = np.zeros(num_envs, int), np.zeros(num_envs, int)  # of the episode that a robot plays
         self.rng = np.random.default_rng(seed)
 
     def next_course(self, ids: np.ndarray, waypoint_fraction: np.ndarray | None) -> np.ndarray:
-        """Update the levels of robots ``ids`` and return their next courses.
+        """Score the episodes of robots ``ids`` and return their next courses.
 
         Parameters
         ----------
@@ -112,34 +111,43 @@ class Curriculum:
         """
         c, rng, top = self.config, self.rng, self.config.num_levels - 1
         if waypoint_fraction is not None:
-            scored = self.played[ids] == self.level[ids]
-            # A completed course counts twice: an episode takes 100,000 steps of 256 robots, and
-            # small budgets have few of them.
-            step = (waypoint_fraction >= c.promote).astype(int) + (waypoint_fraction >= 1.0)
-            step -= waypoint_fraction < c.demote
-            self.level[ids] = np.clip(self.level[ids] + step * scored, 0, top)
-        level = self.level[ids]
-        easier = rng.integers(0, level + 1)
-        replay = rng.random(len(ids)) < c.easy_share
-        replay |= (level == top) & (rng.random(len(ids)) < c.top_easy_share)
-        self.played[ids] = np.where(replay, easier, level)
+            for robot, fraction in zip(ids, waypoint_fraction, strict=True):
+                self._score(self.kind[robot], self.level[robot], fraction)
+        # w_k = floor + (1 - frontier_k / top): what lags is drawn more often
+        weight = np.ones(len(self.frontier)) if np.isinf(c.kind_floor) else c.kind_floor + 1.0 - self.levels()
+        self.kind[ids] = rng.choice(len(weight), len(ids), p=weight / weight.sum())
+        frontier = self.frontier[self.kind[ids]]
+        easier = rng.integers(0, frontier + 1)
+        replay = rng.random(len(ids)) < np.where(frontier == top, c.top_easy_share, c.easy_share)
+        self.level[ids] = np.where(replay, easier, frontier)
         if not c.enabled:
-            self.level[ids] = self.played[ids] = rng.integers(0, c.num_levels, len(ids))
-        return (self.kind[ids] * c.num_levels + self.played[ids]) * c.variants + self.variant[ids]
+            self.level[ids] = rng.integers(0, c.num_levels, len(ids))
+        return (self.kind[ids] * c.num_levels + self.level[ids]) * c.variants + self.variant[ids]
 
-    def mean_level(self) -> float:
-        """Mean level over robots, as a fraction of the top level."""
-        return float(self.level.mean() / max(self.config.num_levels - 1, 1))
+    def _score(self, kind: int, level: int, fraction: float) -> None:
+        """Move the score of a kind by one episode, and its frontier where that is due."""
+        c = self.config
+        if level != self.frontier[kind]:
+            return
+        self.score[kind] += c.score_step * (fraction - self.score[kind])
+        step = int(self.score[kind] >= c.promote) - int(self.score[kind] < c.demote)
+        moved = np.clip(level + step, 0, c.num_levels - 1)
+        if moved != level:
+            self.frontier[kind], self.score[kind] = moved, c.first_score
 
-    def mean_levels(self) -> np.ndarray:
-        """Mean level of the robots of each kind, as fractions of the top level, (K,)."""
-        totals = np.bincount(self.kind, weights=self.level) / max(self.config.num_levels - 1, 1)
-        return totals / np.bincount(self.kind)
+    def levels(self) -> np.ndarray:
+        """Frontier of each kind as a fraction of the top level, (K,)."""
+        return self.frontier / max(self.config.num_levels - 1, 1)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return what a resumed run needs."""
-        return {"level": self.level.copy()}
+        own = {name: getattr(self, name).copy() for name in ("frontier", "score", "kind", "level")}
+        return own | {"rng": pack_stream(self.rng)}
 
     def load_state(self, state: dict[str, np.ndarray]) -> None:
-        """Restore :meth:`state`; the robots start new episodes at their levels."""
-        self.level[:] = state["level"]
+        """Go on from :meth:`state`."""
+        top = self.config.num_levels - 1
+        self.frontier[:], self.level[:] = (np.clip(state[name], 0, top) for name in ("frontier", "level"))
+        self.kind[:] = np.clip(state["kind"], 0, len(self.frontier) - 1)
+        self.score[:] = state["score"]
+        unpack_stream(self.rng, state["rng"])

@@ -11,87 +11,55 @@ Out: observation, reward, terminated, truncated, info.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from agility_ref.go1 import (
-    BODY_TOUCH,
-    DEFAULT_DOF_POS,
-    FOOT_RADIUS,
-    FOOT_TOUCH,
-    FOOT_VELOCITY,
-    STAND_HEIGHT,
-    PhysicsConfig,
-)
-from agility_ref.observation import NOISE, NUM_SCANDOTS, OBS_DIM, SCANDOTS, rotation, scandots, wrap
+from agility_ref.errors import UserError, require_at_least
+from agility_ref.go1 import BODY_TOUCH, DEFAULT_DOF_POS, FOOT_RADIUS, FOOT_TOUCH, FOOT_VELOCITY, PhysicsConfig
+from agility_ref.observation import NOISE, NUM_SCANDOTS, SCANDOTS, rotation, scandots, wrap
 from agility_ref.rewards import RewardConfig, StepState, compute_reward
 from agility_ref.simulation import Simulation
 from agility_ref.terrain import BEAM_DROP, LANE_WIDTH, NUM_WAYPOINTS, SPAWN_X
 from agility_ref.world import EDGE_DISTANCE, World
+
+import numpy as np
 
 
 @dataclass(frozen=True)
 class EnvConfig:
     """Everything about the task but the courses."""
 
-    physics: PhysicsConfig = PhysicsConfig()
-    """Simulator and joint controller."""
-    rewards: RewardConfig = RewardConfig()
-    """Weights of the reward terms."""
-    clip_reward_at_zero: bool = False
-    """Clip the summed reward at zero as the original does; docs/training.md has the ablation."""
-    action_scale: float = 0.3
-    """Joint offset per unit of action [rad]; usual 0.25 to 0.5."""
-    action_limit: float = 4.0
-    """Actions are clipped to +- this; 4 x 0.3 = 1.2 rad, the original's limit."""
-    action_repeat: int = 1
-    """Control steps for which an action is held, the paper's "action stacking" ablation; 1 to 5."""
-    episode_seconds: float = 20.0
-    """An episode is truncated after this time [s]."""
-    command_low: float = 0.7
-    """Lowest commanded speed [m/s]; the original's 0.3 times out before the end of a course."""
-    command_high: float = 1.0
-    """Highest commanded speed [m/s]; original 0.8."""
-    waypoint_radius: float = 0.2
-    """A waypoint counts while the trunk's xy is within this distance [m]."""
-    waypoint_seconds: float = 0.1
-    """... and is reached after staying there for this long [s]."""
-    max_tilt: float = 1.4
-    """Angle between trunk and vertical beyond which a robot has tipped over [rad]."""
-    fall_clearance: float = 0.05
-    """A trunk that is less than this above the ground it should walk over has fallen [m]."""
-    start_noise: float = 0.1
-    """Starts differ by up to +- this in position [m], yaw and joint angles [rad]; usual 0.05 to 0.2."""
-    noise: float = 1.0
-    """Scale of the observation noise; 0 turns it off."""
-    gait_clock: float = 0.0
-    """Rate [Hz] of a clock whose sine and cosine the robot also senses, an ablation; 0 for none, usual 2 to 3."""
-    scandot_period: int = 2
-    """Actions between two looks at the ground, taken in turn by the robots; 2 is 25 Hz, the original has 10 Hz."""
-    push_interval: float = 6.0
-    """Seconds between pushes; 0 turns them off.  Original: 8 in training, 6 in evaluation."""
-    push_velocity: float = 0.5
-    """A push sets the horizontal velocity to a draw from +- this [m/s]."""
-    friction_low: float = 0.6
-    """Lowest ground friction, drawn per course; original 0.6."""
-    friction_high: float = 1.2
-    """Highest ground friction; original 2.0."""
-    payload_high: float = 2.0
-    """Highest mass added to the trunk [kg], drawn per course; original 3."""
+    physics: PhysicsConfig = PhysicsConfig()  # simulator and joint controller
+    rewards: RewardConfig = RewardConfig()  # weights of the reward terms
+    action_scale: float = 0.3  # joint offset per unit of action [rad]; usual 0.25 to 0.5
+    action_limit: float = 4.0  # actions are clipped to +- this; 4 x 0.3 = 1.2 rad, the original's limit
+    action_repeat: int = 1  # control steps for which an action is held, the paper's "action stacking" ablation; 1 to 5
+    episode_seconds: float = 20.0  # an episode is truncated after this time [s]
+    command_low: float = 0.7  # lowest commanded speed [m/s]; the original's 0.3 times out before the end of a course
+    command_high: float = 1.0  # highest commanded speed [m/s]; original 0.8
+    waypoint_radius: float = 0.2  # a waypoint counts while the trunk's xy is within this distance [m]
+    waypoint_seconds: float = 0.1  # ... and is reached after staying there for this long [s]
+    max_tilt: float = 1.4  # angle between trunk and vertical beyond which a robot has tipped over [rad]
+    fall_clearance: float = 0.05  # a trunk that is less than this above the ground it should walk over has fallen [m]
+    start_noise: float = 0.1  # starts differ by this in position [m], yaw and joints [rad]; usual 0.05 to 0.2
+    noise: float = 1.0  # scale of the observation noise; 0 turns it off
+    scandot_period: int = 2  # actions between two looks at the ground; 2 is 25 Hz, the original has 10 Hz
+    push_interval: float = 6.0  # seconds between pushes; 0 turns them off; original: 8 in training, 6 in evaluation
+    push_velocity: float = 0.5  # a push sets the horizontal velocity to a draw from +- this [m/s]
+    friction_low: float = 0.6  # lowest ground friction, drawn per course; original 0.6
+    friction_high: float = 1.2  # highest ground friction; original 2.0
+    payload_high: float = 2.0  # highest mass added to the trunk [kg], drawn per course; original 3
+    turned_start_share: float = 0.0  # share of episodes that start facing anywhere; training only, 0 to 0.5
+    stall_seconds: float = 0.0  # terminate after this time without a waypoint [s]; training only, 0 for never
 
-    turned_start_share: float = 0.0
-    """Share of episodes that start facing anywhere instead of along the course; training only, 0 to 0.5."""
-    stall_seconds: float = 0.0
-    """Terminate after this time without a waypoint [s]; training only, 0 for never."""
+    def __post_init__(self):
+        require_at_least(1, action_repeat=self.action_repeat, scandot_period=self.scandot_period)
+        require_at_least(1e-4, episode_seconds=self.episode_seconds, command_low=self.command_low)
+        require_at_least(0, noise=self.noise, push_interval=self.push_interval, stall_seconds=self.stall_seconds)
+        require_at_least(self.command_low, command_high=self.command_high)
+        require_at_least(self.friction_low, friction_high=self.friction_high)
 
     @property
     def dt(self) -> float:
         """Time between two actions [s]."""
         return self.physics.timestep * self.physics.substeps * self.action_repeat
-
-    @property
-    def obs_dim(self) -> int:
-        """Numbers in an observation: OBS_DIM, and two more with a clock."""
-        return OBS_DIM + 2 * bool(self.gait_clock)
 
     def clean(self) -> "EnvConfig":
         """Return the same task without noise, pushes and payload, at friction 1."""
@@ -102,10 +70,7 @@ class EnvConfig:
 # back, which it meets too rarely to learn; and one that stands before an obstacle for the rest
 # of 20 s fills the batch with nothing.
 TRAINING = EnvConfig(turned_start_share=0.1, stall_seconds=5.0)
-
-
 ACTION_DIM = 12
-
 NextCourse = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
 
 
@@ -132,30 +97,27 @@ class Go1Env:
                                points 0.15 m apart, x -0.45..1.20, y +-0.75, turned
                                with the yaw, x-major; means over 0.14 m x 0.14 m,
                                taken anew every ``scandot_period`` steps
-    clock                 0/2  with ``gait_clock`` alone: sine and cosine of its phase
     ===================  ====  ===================================================
 
-    **Reward**: :mod:`agility_ref.rewards`; ``info["reward_terms"]`` holds every term.
+    **Reward**: :mod:`agility_ref.rewards`.
 
     **Start**: x = 1 m on the level platform, home pose, facing +x (in training, now and then
-    anywhere: ``turned_start_share``); position, yaw and joints are perturbed a little, and a
-    new command is drawn.
+    anywhere); position, yaw and joints are perturbed a little, and a new command is drawn.
 
-    **Disturbances**: a push every ``push_interval`` seconds; friction and payload of each
-    course, drawn once.
+    **Disturbances**: a push every ``push_interval`` seconds; friction and payload per course.
 
     **Terminated**: tipped over (tilt above ``max_tilt``), left the lane, trunk less than
-    ``fall_clearance`` above the surface that should carry it, or, over a beam's span, no
-    foot at the beam's height; in training also after ``stall_seconds`` without a waypoint; or the simulation failed.
-
+    ``fall_clearance`` above the surface that should carry it, over a beam's span no foot at the
+    beam's height, in training ``stall_seconds`` without a waypoint, or the simulation failed.
     **Truncated**: 20 s, or the last waypoint reached.
 
-    **Autoreset**: Gymnasium's SAME_STEP.  ``info["final_observation"]`` (N, 184) holds the
-    true last observation, its scandots as last taken; rows of unfinished robots equal the
-    returned observation.
-    ``info["episode"]`` holds, for every robot, the running ``reward``, ``length``,
-    ``waypoints`` and ``edge`` sums *before* the reset; read the rows that are done.
-    ``info["feet_on_edge"]`` (N,) counts the feet that violate an edge in this step.
+    **Info**: ``reward_terms``, each (N,); ``final_obs`` (N, 184), the true last observation of robots
+    that are done, its scandots as last taken, and that of the others; ``totals``, for every robot
+    the running ``reward``, ``length``, ``waypoints`` and ``edge`` sums *before* the reset, to be read
+    where it is done; ``feet_on_edge`` (N,), feet that violate an edge in this step; ``kind`` (N,),
+    number of the kind of course.
+
+    **Autoreset**: Gymnasium's SAME_STEP, or DISABLED with ``autoreset=False``.
 
     Foot positions and contacts are those at the start of the last physics step, 10 ms
     before the state in the observation, as MuJoCo leaves them after ``mj_step``.
@@ -169,25 +131,27 @@ class Go1Env:
         next_course: NextCourse | None = None,
         seed: int = 0,
         num_threads: int = 0,
+        autoreset: bool = True,
     ):
-        """Compile one model a course and start N simulations.
+        """Compile one model per course and start N = ``num_envs`` simulations.
 
         Parameters
         ----------
-        world : the courses
-        num_envs : N
-        config : the task
+        world, config : the courses and the task
         next_course : called with (robots, waypoint fractions or None), returns their next
             courses; by default courses are drawn uniformly
         seed : of friction and payload per course, and of everything drawn later
         num_threads : simulation threads, 0 for all cores; results do not depend on it
+        autoreset : False leaves robots that are done as they are until :meth:`reset`
         """
         self.world, self.num_envs, self.config = world, num_envs, config
-        self.next_course = next_course or self._draw_course
+        self.next_course = next_course or (lambda ids, fraction: self.rng.integers(0, len(world), len(ids)))
+        self.autoreset = autoreset
         self.max_steps = round(config.episode_seconds / config.dt)
         self._reach_steps = max(1, round(config.waypoint_seconds / config.dt))
         self._stall_steps = round(config.stall_seconds / config.dt)
         self._push_steps = round(config.push_interval / config.dt)
+        self._kind = np.unique(world.kinds, return_inverse=True)[1]
         self._level_course = world.kinds == "walk"
         last = world.waypoints[:, -1:]
         self._waypoints = np.concatenate([world.waypoints, last, last], axis=1)  # the last one stays the goal
@@ -199,55 +163,59 @@ class Go1Env:
         ]
         self.simulation = Simulation(world.courses, num_envs, config.physics, conditions, num_threads)
         self._qpos, self._qvel = self.simulation.qpos, self.simulation.qvel
+        self._sensors = [self.simulation.columns(names) for names in (FOOT_TOUCH, FOOT_VELOCITY, BODY_TOUCH)]
 
         n = num_envs
         self._everyone = np.arange(n)
-        self.course = np.zeros(n, int)
-        self.waypoint_index = np.zeros(n, int)
+        self.course, self.waypoint_index = np.zeros(n, int), np.zeros(n, int)
         self.command = np.ones(n)
-        self.base_lin_vel = np.zeros((n, 3))  # in the trunk's frame [m/s]
-        self.projected_gravity = np.zeros((n, 3))
+        self.base_lin_vel, self.projected_gravity = np.zeros((2, n, 3))  # in the trunk's frame [m/s]
         self.yaw = np.zeros(n)  # [rad]
         self.goal = np.zeros((n, 2))  # from the trunk to the current waypoint [m]
         self.heading_error = np.zeros((n, 2))  # to the current and the next waypoint [rad]
-        self.foot_contact = np.zeros((n, 4), bool)
-        self.foot_on_edge = np.zeros((n, 4), bool)
-        self._reach_timer = np.zeros(n, int)
-        self._step_count = np.zeros(n, int)
+        self.foot_contact, self.foot_on_edge = np.zeros((2, n, 4), bool)
+        self._reach_timer, self._step_count = np.zeros((2, n), int)
         self._reach_step = np.zeros(n, int)  # step count at the last waypoint
         self.push_timer = np.zeros(n, int)  # control steps until the next push, 1 before the step that it strikes in
         self._last_action = np.zeros((n, ACTION_DIM))
         self._scandots = np.zeros((n, NUM_SCANDOTS), np.float32)
-        self._clock = 0  # actions since the environment was made
-        self._episode_reward = np.zeros(n)
-        self._episode_edge = np.zeros(n)
+        self._clock = np.array(0)  # actions since the environment was made
+        self._episode_reward, self._episode_edge = np.zeros(n), np.zeros(n)
         self.reset(seed)
 
-    # ------------------------------------------------------------------ public
+    def reset(self, seed: int | None = None, mask: np.ndarray | None = None) -> tuple[np.ndarray, dict]:
+        """Start new episodes; return the observation and an empty info.
 
-    def reset(self, seed: int | None = None) -> tuple[np.ndarray, dict]:
-        """Start new episodes of all robots; return the observation and an empty info."""
+        Parameters
+        ----------
+        seed : of everything drawn from here on, in the order of the steps
+        mask : (N,) bool, the robots whose episodes have ended and that start anew, all by default;
+            the others stay where they are
+        """
         if seed is not None:
             # Noise and pushes have a stream of their own, drawn for all robots at once: two
             # policies that are evaluated with one seed meet the same starts, noise and pushes.
             self.rng, self._disturbance_rng = (np.random.default_rng([seed, k]) for k in (2, 3))
-            self._clock = 0
-        self._reset(self._everyone, None)
-        self._look(self._everyone)
-        return self._observe(slice(None), self._draw_disturbance()[:, 2:]), {}
+            self._clock[()] = 0
+        ids = self._everyone if mask is None else np.flatnonzero(mask)
+        self._reset(ids, None if mask is None else self.waypoint_index[ids] / NUM_WAYPOINTS)
+        self._look(ids)
+        self.observation = self._observe(slice(None), self._draw_disturbance()[:, 2:])
+        return self.observation, {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
         """Advance every robot by one control step, or by ``action_repeat`` of them.
 
         Raises
         ------
-        ValueError : action of the wrong shape, or not finite
+        ValueError : action of the wrong shape
+        UserError : action that is not finite
         """
         action = np.asarray(action, np.float64)
         if action.shape != (self.num_envs, ACTION_DIM):
             raise ValueError(f"action has shape {action.shape}, not {(self.num_envs, ACTION_DIM)}")
         if not np.isfinite(action).all():
-            raise ValueError(f"action has {np.count_nonzero(~np.isfinite(action))} entries that are not finite")
+            raise UserError(f"action has {np.count_nonzero(~np.isfinite(action))} entries that are not finite")
         c = self.config
         action = np.clip(action, -c.action_limit, c.action_limit)
         disturbance = self._draw_disturbance()
@@ -259,8 +227,6 @@ class Go1Env:
 
         state = self._step_state(action, last_dof_vel)
         reward, terms = compute_reward(state, c.rewards)
-        if c.clip_reward_at_zero:
-            reward = np.maximum(reward, 0.0)
         if failed.any():  # what a diverged simulation was worth is nobody's reward
             reward[failed] = 0.0
             for term in terms.values():
@@ -278,14 +244,12 @@ class Go1Env:
         self._episode_reward += reward
         feet_on_edge = state.foot_on_edge.sum(axis=1)
         self._episode_edge += feet_on_edge
-        episode = {
-            "reward": self._episode_reward.copy(),
-            "length": self._step_count.copy(),
-            "waypoints": self.waypoint_index.copy(),
-            "edge": self._episode_edge.copy(),
-        }
-        noise = disturbance[:, 2:]
-        done = np.flatnonzero(terminated | truncated)
+        totals = {
+            "reward": self._episode_reward.copy(), "length": self._step_count.copy(),
+            "waypoints": self.waypoint_index.copy(), "edge": self._episode_edge.copy(),
+        }  # fmt: skip
+        noise, kind = disturbance[:, 2:], self._kind[self.course]
+        done = np.flatnonzero(terminated | truncated) if self.autoreset else self._everyone[:0]
         if len(done):
             last_observation = self._observe(done, noise)
             self._reset(done, self.waypoint_index[done] / NUM_WAYPOINTS)
@@ -293,17 +257,12 @@ class Go1Env:
         due = (self._everyone + self._clock) % c.scandot_period == 0
         due[done] = True
         self._look(np.flatnonzero(due))
-        observation = self._observe(slice(None), noise)
-        final_observation = observation.copy()
+        self.observation = observation = self._observe(slice(None), noise)
+        final_obs = observation.copy()
         if len(done):
-            final_observation[done] = last_observation
-        info = {
-            "final_observation": final_observation,
-            "episode": episode,
-            "reward_terms": terms,
-            "feet_on_edge": feet_on_edge,
-        }
-        return observation, reward, terminated, truncated, info
+            final_obs[done] = last_observation
+        info = {"final_obs": final_obs, "totals": totals, "reward_terms": terms, "feet_on_edge": feet_on_edge}
+        return observation, reward, terminated, truncated, info | {"kind": kind}
 
     @property
     def base_pos(self) -> np.ndarray:
@@ -314,8 +273,6 @@ class Go1Env:
         """(N,) skill, an index into SKILLS, that the region map names at each robot's x."""
         return self.world.regions[self.course, self.world.column(self._qpos[:, 0])].astype(int)
 
-    # ------------------------------------------------------------------ starts and pushes
-
     def _push(self, direction: np.ndarray) -> None:
         """Overwrite the horizontal velocity of the robots whose push is due; direction (N, 2) in +-1."""
         self.push_timer -= 1
@@ -323,9 +280,6 @@ class Go1Env:
         if len(due):
             self._qvel[due, :2] = self.config.push_velocity * direction[due]
             self.push_timer[due] = self._push_steps
-
-    def _draw_course(self, ids: np.ndarray, waypoint_fraction: np.ndarray | None) -> np.ndarray:
-        return self.rng.integers(0, len(self.world), len(ids))
 
     def _reset(self, ids: np.ndarray, waypoint_fraction: np.ndarray | None) -> None:
         n, rng, c = len(ids), self.rng, self.config
@@ -354,12 +308,11 @@ class Go1Env:
             yaw[turned] = rng.uniform(-np.pi, np.pi, np.count_nonzero(turned))
         yaw += shift[:, 2]
         qpos = np.tile(self.simulation.home, (n, 1))
-        qpos[:, 0], qpos[:, 1], qpos[:, 2] = SPAWN_X + shift[:, 0], shift[:, 1], STAND_HEIGHT + 0.02
+        qpos[:, 0], qpos[:, 1] = SPAWN_X + shift[:, 0], shift[:, 1]
+        qpos[:, 2] += 0.02  # they drop onto their feet
         qpos[:, 3], qpos[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
         qpos[:, 7:] += shift[:, 3:]
         return qpos
-
-    # ------------------------------------------------------------------ state
 
     def _update_kinematics(self) -> None:
         """Refresh what follows from the poses and velocities."""
@@ -378,35 +331,24 @@ class Go1Env:
     def _step_state(self, action: np.ndarray, last_dof_vel: np.ndarray) -> StepState:
         self._update_kinematics()
         self._update_goal(slice(None))
-        feet = self.simulation.sensors[:, FOOT_TOUCH].reshape(-1, 4, 4)  # (N, 4, [found, force xyz])
-        foot_vel = self.simulation.sensors[:, FOOT_VELOCITY].reshape(-1, 4, 3)
+        feet, foot_vel, bodies = (self.simulation.sensors[:, columns] for columns in self._sensors)
+        feet, foot_vel = feet.reshape(-1, 4, 4), foot_vel.reshape(-1, 4, 3)  # (N, 4, [found, force xyz]), (N, 4, xyz)
         self.foot_contact = feet[:, :, 0] > 0
         self.foot_on_edge = self._near_edge()
         self._goal_distance = np.hypot(self.goal[:, 0], self.goal[:, 1])
         ground = self.world.ground(self.course[:, None], self.simulation.foot_pos)
         return StepState(
-            dt=self.config.dt,
-            base_lin_vel=self.base_lin_vel,
-            base_ang_vel=self._qvel[:, 3:6],
-            projected_gravity=self.projected_gravity,
-            speed=np.hypot(self._qvel[:, 0], self._qvel[:, 1]),
+            dt=self.config.dt, base_lin_vel=self.base_lin_vel, base_ang_vel=self._qvel[:, 3:6],
+            projected_gravity=self.projected_gravity, speed=np.hypot(self._qvel[:, 0], self._qvel[:, 1]),
             goal_velocity=(self._qvel[:, :2] * self.goal).sum(axis=1) / np.maximum(self._goal_distance, 1e-6),
-            heading_error=self.heading_error[:, 0],
-            command=self.command,
-            on_level_course=self._level_course[self.course],
-            dof_pos=self._qpos[:, 7:],
-            dof_vel=self._qvel[:, 6:],
-            last_dof_vel=last_dof_vel,
-            torque=self.simulation.torque,
-            action=action,
-            last_action=self._last_action,
+            heading_error=self.heading_error[:, 0], command=self.command, on_level_course=self._level_course[self.course],
+            dof_pos=self._qpos[:, 7:], dof_vel=self._qvel[:, 6:], last_dof_vel=last_dof_vel, torque=self.simulation.torque,
+            action=action, last_action=self._last_action,
             foot_force=-feet[:, :, 1:],  # the sensor gives the foot's force on the ground
-            foot_contact=self.foot_contact,
-            foot_on_edge=self.foot_on_edge,
+            foot_contact=self.foot_contact, foot_on_edge=self.foot_on_edge,
             foot_speed=np.hypot(foot_vel[:, :, 0], foot_vel[:, :, 1]),
-            foot_clearance=self.simulation.foot_pos[:, :, 2] - FOOT_RADIUS - ground,
-            body_contact=self.simulation.sensors[:, BODY_TOUCH] > 0,
-        )
+            foot_clearance=self.simulation.foot_pos[:, :, 2] - FOOT_RADIUS - ground, body_contact=bodies > 0,
+        )  # fmt: skip
 
     def _near_edge(self) -> np.ndarray:
         """(N, 4) feet in contact within 5 cm of an edge, sideways and in height."""
@@ -450,28 +392,14 @@ class Go1Env:
 
     def _observe(self, ids: np.ndarray | slice, noise: np.ndarray) -> np.ndarray:
         """(n, 184) observation of robots ``ids``, a fresh array; noise (N, 53) in +-1."""
-        observation = np.concatenate(
-            [
-                self.base_lin_vel[ids],  # 3
-                self._qvel[ids, 3:6],  # 3
-                self.projected_gravity[ids],  # 3
-                self.heading_error[ids],  # 2
-                self.command[ids, None],  # 1
-                self._qpos[ids, 7:] - DEFAULT_DOF_POS,  # 12
-                self._qvel[ids, 6:],  # 12
-                self._last_action[ids],  # 12
-                self.foot_contact[ids],  # 4
-                self._scandots[ids],  # 132
-            ],
-            axis=1,
-            dtype=np.float32,
-        )
+        parts = (  # as OBSERVATION lists them
+            self.base_lin_vel[ids], self._qvel[ids, 3:6], self.projected_gravity[ids], self.heading_error[ids],
+            self.command[ids, None], self._qpos[ids, 7:] - DEFAULT_DOF_POS, self._qvel[ids, 6:], self._last_action[ids],
+            self.foot_contact[ids], self._scandots[ids],
+        )  # fmt: skip
+        observation = np.concatenate(parts, axis=1, dtype=np.float32)
         if self.config.noise:
             noise = noise[ids] * (self.config.noise * NOISE)
             observation[:, : SCANDOTS.start] += noise[:, :-1]
             observation[:, SCANDOTS] += noise[:, -1:]
-        if self.config.gait_clock:
-            phase = 2.0 * np.pi * self.config.gait_clock * self.config.dt * self._step_count[ids]
-            clock = np.stack([np.sin(phase), np.cos(phase)], axis=1, dtype=np.float32)
-            observation = np.concatenate([observation, clock], axis=1)
         return observation

@@ -8,8 +8,30 @@ import difflib
 from collections.abc import Iterable
 
 
-class UserError(ValueError):
+class UserError(Exception):  # not a ValueError, of which tyro would make a frame of several lines
     """What was given, and what is allowed, in one line."""
+
+
+def require_at_least(least: float, **given: float) -> None:
+    """Refuse numbers of a configuration that would divide by zero, loop for ever or fill the memory.
+
+    Raises
+    ------
+    UserError : names the first field that is less than ``least``, or not finite
+    """
+    for name, value in given.items():
+        if not least <= value < float("inf"):
+            raise UserError(f"{name.replace('_', '-')} must be a number of at least {least:g}, not {value}")
+
+
+def one_line(error: BaseException) -> str:
+    r"""Return what an error says, without line breaks and whatever else a file may have put into it.
+
+    >>> one_line(ValueError("no array\n\x1b[2J of that name"))
+    'no array [2J of that name'
+    """
+    words = "".join(c if c.isprintable() else " " for c in str(error)).split()
+    return " ".join(words)[:1000]
 
 
 def unknown_name(what: str, given: str, allowed: Iterable[str]) -> UserError:

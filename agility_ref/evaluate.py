@@ -4,7 +4,7 @@ Paper section 4 and Table 1: reward, episode length, waypoint fraction, edge vio
 Two protocols:
 
 complete      Every policy plays the same courses from the same starts with the same commands,
-              noise and pushes, one **complete** episode a course.  Policies are compared
+              noise and pushes, one **complete** episode per course.  Policies are compared
               episode by episode.
 as-published  Counts as the evaluator of Extreme Parkour does, on which the paper stands; see
               :mod:`agility_ref.results.published` for what of it is reproduced and what is not.
@@ -18,15 +18,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
-import numpy as np
-from tqdm import tqdm
-
 from agility_ref.curriculum import find_preset
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError, unknown_name
 from agility_ref.selector import Hierarchy, Single
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, make_course
 from agility_ref.world import World
+
+import numpy as np
+from tqdm import tqdm
 
 METRICS = ("reward", "episode_length", "waypoint_fraction", "edge_violation")
 PROTOCOLS = ("complete", "as-published")
@@ -39,18 +39,12 @@ GOLDEN_SHARE = (5**0.5 - 1) / 2  # steps of this share of a circle fill it most 
 class EvaluationConfig:
     """What is played, and how often."""
 
-    episodes: int = 64
-    """Complete episodes, one a course; usual 64 to 256.  As published: robots, 256 in the original."""
-    seed: int = 0
-    """Seed of courses, starts, commands, noise and pushes."""
-    preset: str = "full"
-    """quick draws d ~ U(0, 0.4), full U(0, 1)."""
-    difficulty: float | None = None
-    """Fixes the difficulty of all courses, 0 to 1."""
-    clean: bool = False
-    """Turn noise, pushes, payload and friction differences off."""
-    protocol: str = "complete"
-    """complete: whole episodes, paired; as-published: counts as the original evaluator does."""
+    episodes: int = 64  # complete episodes, one per course; usual 64 to 256; As published: robots, 256 in the original
+    seed: int = 0  # seed of courses, starts, commands, noise and pushes
+    preset: str = "full"  # quick draws d ~ U(0, 0.4), full U(0, 1)
+    difficulty: float | None = None  # fixes the difficulty of all courses, 0 to 1
+    clean: bool = False  # turn noise, pushes, payload and friction differences off
+    protocol: str = "complete"  # complete: whole episodes, paired; as-published: counts as the original evaluator does
 
 
 def in_first_episode(done: np.ndarray) -> np.ndarray:
@@ -108,10 +102,10 @@ def oracle_accuracy(skill: np.ndarray, oracle: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """One policy on one environment; arrays have one entry an episode.
+    """One policy on one environment; arrays have one entry per episode.
 
     Under ``as-published`` the episodes are those that ended in time, in the order of their
-    ends, and ``edge_violation`` has one entry a robot and step instead.
+    ends, and ``edge_violation`` has one entry per robot and step instead.
     """
 
     policy: str
@@ -121,16 +115,11 @@ class Evaluation:
     episode_length: np.ndarray
     waypoint_fraction: np.ndarray
     edge_violation: np.ndarray
-    fell: np.ndarray
-    """(N,) bool, terminated rather than truncated."""
-    difficulty: np.ndarray
-    """(N,) difficulty of the course."""
-    skill: np.ndarray | None
-    """(T, N) skill chosen, -1 after the end; None for a policy without skills and as published."""
-    oracle: np.ndarray | None
-    """(T, N) skill the oracle wanted, likewise."""
-    dt: float = EnvConfig().dt
-    """Control time step [s]."""
+    fell: np.ndarray  # (N,) bool, terminated rather than truncated
+    difficulty: np.ndarray  # (N,) difficulty of the course
+    skill: np.ndarray | None  # (T, N) skill chosen, -1 after the end; None for a policy without skills and as published
+    oracle: np.ndarray | None  # (T, N) skill the oracle wanted, likewise
+    dt: float = EnvConfig().dt  # control time step [s]
 
     def choices(self) -> dict[str, np.ndarray]:
         """Return what the selector did in each episode (N,), and what the oracle asked for on the same path.
@@ -293,7 +282,6 @@ def rollout(
     ``before`` (given the action) and ``after`` (given the info) return is kept of each step too.
     """
     observation, _ = env.reset(seed)
-    policy.reset()
     r: dict[str, list[np.ndarray]] = defaultdict(list)
     bar = tqdm(total=env.max_steps, desc=policy.name, unit="step", leave=False, delay=3, disable=None)
     while not r["done"] or not enough(r["done"]):
@@ -307,11 +295,10 @@ def rollout(
         for name, values in (seen | after(info)).items():
             r[name].append(values)
         r["reward"].append(reward)
-        r["waypoints"].append(info["episode"]["waypoints"])
+        r["waypoints"].append(info["totals"]["waypoints"])
         r["edge"].append(info["feet_on_edge"])
         r["terminated"].append(terminated)
         r["done"].append(terminated | truncated)
-        policy.reset(np.flatnonzero(terminated | truncated))
         bar.update()
     bar.close()
     return {name: np.array(values) for name, values in r.items()}

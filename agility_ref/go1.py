@@ -17,10 +17,11 @@ Axes: x forward, y left, z up.
 
 from dataclasses import dataclass
 
+from agility_ref.errors import require_at_least
+from agility_ref.terrain import Course
+
 import mujoco
 import numpy as np
-
-from agility_ref.terrain import Course
 
 LEGS = ("FR", "FL", "RR", "RL")
 JOINTS = tuple(f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf"))
@@ -50,18 +51,16 @@ DOF_RANGE = np.array([JOINT_RANGE[p] for p in ("hip", "thigh", "calf")] * 4)  # 
 class PhysicsConfig:
     """How the model is simulated.  benchmarks/README.md has the measured alternatives."""
 
-    timestep: float = 0.01
-    """Physics time step [s]; usual 0.002 to 0.01."""
-    substeps: int = 2
-    """Physics steps per control step; timestep x substeps = 0.02 s, i.e. 50 Hz."""
-    iterations: int = 4
-    """Newton iterations of the contact solver; usual 1 to 10."""
-    ls_iterations: int = 6
-    """Line-search iterations per Newton iteration; usual 4 to 50."""
-    kp: float = 35.0
-    """Position gain of the joint controller [N m/rad]; usual 20 to 50."""
-    kd: float = 0.6
-    """Damping gain of the joint controller [N m s/rad]; usual 0.5 to 1."""
+    timestep: float = 0.01  # physics time step [s]; usual 0.002 to 0.01
+    substeps: int = 2  # physics steps per control step; timestep x substeps = 0.02 s, i.e. 50 Hz
+    iterations: int = 4  # newton iterations of the contact solver; usual 1 to 10
+    ls_iterations: int = 6  # line-search iterations per Newton iteration; usual 4 to 50
+    kp: float = 35.0  # position gain of the joint controller [N m/rad]; usual 20 to 50
+    kd: float = 0.6  # damping gain of the joint controller [N m s/rad]; usual 0.5 to 1
+
+    def __post_init__(self):
+        require_at_least(1e-5, timestep=self.timestep)
+        require_at_least(1, substeps=self.substeps)
 
 
 def _vec(*values: float) -> str:
@@ -140,10 +139,11 @@ def _terrain(course: Course, num_boxes: int, friction: float) -> str:
     return "\n".join(geoms + [padding] * (num_boxes - len(course.boxes)))
 
 
-# Where the blocks of an mjData's sensordata stand, see make_xml.
-FOOT_TOUCH = slice(0, 16)  # 4 x (found, force xyz on the ground in the world [N])
-BODY_TOUCH = slice(16, 25)  # 9 x found: trunk, thighs and calves
-FOOT_VELOCITY = slice(25, 37)  # 4 x velocity xyz in the world [m/s]
+BODIES = ("trunk", *(f"{leg}_{part}" for leg in LEGS for part in ("thigh", "calf")))  # what should not touch the ground
+# Names of the sensors in the model, see make_xml.
+FOOT_TOUCH = tuple(f"{leg}_foot_touch" for leg in LEGS)  # each (found, force xyz on the ground in the world [N])
+FOOT_VELOCITY = tuple(f"{leg}_foot_velocity" for leg in LEGS)  # each xyz in the world [m/s]
+BODY_TOUCH = tuple(f"{body}_touch" for body in BODIES)  # each found
 
 
 def make_xml(
@@ -169,13 +169,12 @@ def make_xml(
         for joint in JOINTS
         for part in [joint.split("_")[1]]
     )
-    # In the order of FOOT_TOUCH, BODY_TOUCH and FOOT_VELOCITY.
     feet = "\n".join(
-        f'<contact name="{leg}_foot" geom1="{leg}_foot" data="found force" reduce="netforce"/>' for leg in LEGS
+        f'<contact name="{leg}_foot_touch" geom1="{leg}_foot" data="found force" reduce="netforce"/>'
+        f'<framelinvel name="{leg}_foot_velocity" objtype="site" objname="{leg}_foot"/>'
+        for leg in LEGS
     )
-    bodies = ["trunk"] + [f"{leg}_{part}" for leg in LEGS for part in ("thigh", "calf")]
-    touches = "\n".join(f'<contact name="{name}_touch" geom1="{name}"/>' for name in bodies)
-    velocities = "\n".join(f'<framelinvel objtype="site" objname="{leg}_foot"/>' for leg in LEGS)
+    touches = "\n".join(f'<contact name="{body}_touch" geom1="{body}"/>' for body in BODIES)
     home = _vec(1, 0, STAND_HEIGHT, 1, 0, 0, 0, *DEFAULT_DOF_POS)
     return f"""
 <mujoco model="go1">
@@ -203,7 +202,7 @@ def make_xml(
     </body>
   </worldbody>
   <actuator>{actuators}</actuator>
-  <sensor>{feet}{touches}{velocities}</sensor>
+  <sensor>{feet}{touches}</sensor>
   <keyframe><key name="home" qpos="{home}" ctrl="{_vec(*DEFAULT_DOF_POS)}"/></keyframe>
 </mujoco>"""
 

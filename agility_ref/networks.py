@@ -1,51 +1,55 @@
-"""Networks: the actor-critic that PPO trains, and its observation normaliser.
+"""Networks: actor and critic that know left from right, and their observation normaliser.
 
-The paper's low-level skills and its selector are trained by "the same PPO formulation"
-(section 3.2.1), so one class serves both: a Gaussian over joint targets for the skills,
-a categorical over skill indices for the selector.
+A Go1 is symmetric: what it does in a situation, its mirror image does mirrored.  Here that holds
+by construction, so nothing is learned twice.  The paper's skills and its selector are trained by
+"the same PPO formulation" (section 3.2.1), so one class serves both.
 
-In:  observations (n, obs_dim).  Out: distributions over actions, and values.
+In:  normalised observations (n, obs_dim).  Out: distributions over actions, and values.
 """
 
 import itertools
 from collections.abc import Callable, Iterable
 
+from agility_ref.observation import Mirror
+from agility_ref.policy import CLIP, VAR_FLOOR
+
 import numpy as np
 import torch
 from torch import nn
+from torch.distributions import Categorical, Distribution, Independent, Normal
 
-from agility_ref.policy import CLIP, VAR_FLOOR
-
-LOG_2PI = float(np.log(2 * np.pi))
+SQRT_HALF = 0.5**0.5
 
 
 class Normalizer:
     """Running mean and variance per observation entry; part of every checkpoint.
 
-    Entries in ``fixed`` keep mean 0 and the standard deviation they are given.  Scandots
-    must: on flat ground their variance is next to nothing, and the first pit would then
-    saturate the input.
+    A batch counts together with its mirror image, so that both are normalised alike.  Entries in
+    ``fixed`` keep mean 0 and the standard deviation they are given.  Scandots must: on flat ground
+    their variance is next to nothing, and the first pit would then saturate the input.
     """
 
-    def __init__(self, obs_dim: int, fixed: slice = slice(0, 0), fixed_std: float = 1.0):
-        self.mean = np.zeros(obs_dim, np.float32)
-        self.var = np.ones(obs_dim, np.float32)
-        self.count = 0.0
-        self.fixed = fixed
+    def __init__(self, mirror: Mirror, fixed: slice = slice(0, 0), fixed_std: float = 1.0):
+        self.mirror, self.count = mirror, 0.0
+        self.mean = np.zeros(len(mirror.index), np.float32)
+        self.var = np.ones(len(mirror.index), np.float32)
         self.var[fixed] = fixed_std**2
+        self._free = np.ones(len(mirror.index), bool)
+        self._free[fixed] = False
 
     def update(self, batch: np.ndarray) -> None:
-        """Fold a batch (n, obs_dim) into the statistics."""
-        free = np.ones(len(self.mean), bool)
-        free[self.fixed] = False
-        x = batch[:, free].astype(np.float64)
-        mean, var, n = x.mean(axis=0), x.var(axis=0), len(x)
+        """Fold a batch (n, obs_dim) and its mirror image into the statistics."""
+        n, mean, var = len(batch), batch.mean(axis=0, dtype=np.float64), batch.var(axis=0, dtype=np.float64)
+        # Mean of the two halves; variance within them and between them.
+        image = self.mirror(mean)
+        var = (var + var[self.mirror.index]) / 2 + ((mean - image) / 2) ** 2
+        mean = (mean + image) / 2
         total = self.count + n
-        delta = mean - self.mean[free]
+        delta = mean - self.mean
         # Chan et al. (1979): M2 = M2_a + M2_b + delta^2 n_a n_b / (n_a + n_b)
-        m2 = self.var[free] * self.count + var * n + delta**2 * self.count * n / total
-        self.mean[free] += delta * n / total
-        self.var[free] = m2 / total
+        m2 = self.var * self.count + var * n + delta**2 * self.count * n / total
+        self.mean[self._free] += (delta * n / total)[self._free]
+        self.var[self._free] = (m2 / total)[self._free]
         self.count = total
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
@@ -53,16 +57,147 @@ class Normalizer:
         return np.clip((observation - self.mean) / np.sqrt(self.var + VAR_FLOOR), -CLIP, CLIP)
 
 
-def mlp(sizes: list[int], last_gain: float) -> nn.Sequential:
-    """Linear layers with ELU between, orthogonal weights, zero biases."""
-    modules: list[nn.Module] = []
-    for i, (n_in, n_out) in enumerate(itertools.pairwise(sizes)):
-        last = i == len(sizes) - 2
-        linear = nn.Linear(n_in, n_out)
-        nn.init.orthogonal_(linear.weight, last_gain if last else 2**0.5)
-        nn.init.zeros_(linear.bias)
-        modules += [linear] if last else [linear, nn.ELU()]
-    return nn.Sequential(*modules)
+class PairedElu(torch.autograd.Function):
+    """The nonlinearity of :class:`EquivariantMLP`, differentiated by hand, which saves a fifth of a gradient step."""
+
+    @staticmethod
+    def forward(ctx, even: torch.Tensor, odd: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Map even and odd part of the pre-activations, (n, h) each, to those of the units."""
+        u, v = even + odd, even - odd
+        for x in (u, v):
+            # elu(x) = max(x, 0) + exp(min(x, 0)) - 1
+            positive = x.clamp(min=0)
+            x.clamp_(max=0).exp_().sub_(1).add_(positive)
+        ctx.save_for_backward(u, v)
+        return (u + v).mul_(SQRT_HALF), (u - v).mul_(SQRT_HALF)
+
+    @staticmethod
+    def backward(ctx, even: torch.Tensor, odd: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Take gradients back the same way."""
+        u, v = ctx.saved_tensors
+        # elu'(x) = min(elu(x) + 1, 1), for below zero exp(x) = elu(x) + 1
+        u = (u + 1).clamp_(max=1).mul_(even + odd)
+        v = (v + 1).clamp_(max=1).mul_(even - odd)
+        return (u + v).mul_(SQRT_HALF), (u - v).mul_(SQRT_HALF)
+
+
+class EquivariantMLP(nn.Module):
+    """An MLP with f(M x) = M' f(x), exactly, for mirrors M of the input and M' of the output.
+
+    Let E and O be orthonormal bases of what M keeps and flips.  A layer acts on the even part E x
+    and on the odd part O x separately, and hidden units come in pairs (u, v) that swap::
+
+        e = E x,   o = O x
+        e' = W_e e + b,   o' = W_o o                  each layer; no bias on the odd part
+        u = elu(e' + o'),   v = elu(e' - o')          the mirror: o' becomes -o', so u and v swap
+        e = (u + v) / sqrt 2,   o = (u - v) / sqrt 2  even and odd again
+        f = E'^T (W_e e + b) + O'^T W_o o             the last layer
+
+    An M' that flips nothing makes the network invariant.  The blocks take half of the
+    multiplications of dense layers of the same width.  Source: Su et al. 2024, "Leveraging
+    Symmetry in RL-based Legged Locomotion Control" (IROS).
+    """
+
+    def __init__(self, mirror_in: Mirror, hidden: tuple[int, ...], mirror_out: Mirror, last_gain: float):
+        """Draw orthogonal weights; biases start at zero.
+
+        Parameters
+        ----------
+        mirror_in, mirror_out : of the input and of the output
+        hidden : units of each hidden layer, even numbers
+        last_gain : scale of the last layer's weights
+        """
+        super().__init__()
+        bases_in, bases_out = mirror_in.bases(), mirror_out.bases()
+        self.register_buffer("split", torch.from_numpy(np.concatenate(bases_in)), persistent=False)
+        self.register_buffer("join", torch.from_numpy(np.concatenate(bases_out)), persistent=False)
+        self.even, self.odd = nn.ModuleList(), nn.ModuleList()
+        for half, layers in enumerate((self.even, self.odd)):
+            sizes = [len(bases_in[half]), *(units // 2 for units in hidden), len(bases_out[half])]
+            for n_in, n_out in itertools.pairwise(sizes):
+                if n_out or half == 0:  # an invariant output has no odd part
+                    last = len(layers) == len(hidden)
+                    layers.append(nn.Linear(n_in, n_out, bias=half == 0))
+                    nn.init.orthogonal_(layers[-1].weight, last_gain if last else 1.0)
+        for layer in self.even:
+            nn.init.zeros_(layer.bias)
+
+    def parts(self, x: torch.Tensor) -> torch.Tensor:
+        """Return [E x, O x], (n, n_in), which :meth:`forward` takes: a rollout makes them once, an update reads them often."""
+        return x @ self.split.T
+
+    def forward(self, parts: torch.Tensor) -> torch.Tensor:
+        """Map :meth:`parts` of the input to the output, (n, n_in) -> (n, n_out)."""
+        n_even, hidden = self.even[0].in_features, len(self.even) - 1
+        even, odd = parts[:, :n_even], parts[:, n_even:]
+        for e, o in zip(self.even[:hidden], self.odd[:hidden], strict=True):
+            even, odd = PairedElu.apply(e(even), o(odd))
+        outputs = [self.even[-1](even), *(o(odd) for o in self.odd[hidden:])]
+        return torch.cat(outputs, -1) @ self.join
+
+    @torch.no_grad()
+    def dense(self) -> dict[str, np.ndarray]:
+        """Multiply out to ordinary layers, "<i>.weight" (out, in) and "<i>.bias" (out,), which any program can run."""
+        n_even, hidden, layers = self.even[0].in_features, len(self.even) - 1, []
+        even_in, odd_in = self.split[:n_even], self.split[n_even:]  # how a layer's inputs make its even and odd part
+        for e, o in zip(self.even[:hidden], self.odd[:hidden], strict=True):
+            # u = (W_e E + W_o O) x + b,  v = (W_e E - W_o O) x + b
+            even, odd = e.weight @ even_in, o.weight @ odd_in
+            layers.append((torch.cat([even + odd, even - odd]), torch.cat([e.bias, e.bias])))
+            eye = torch.eye(e.out_features) * SQRT_HALF
+            even_in, odd_in = torch.cat([eye, eye], 1), torch.cat([eye, -eye], 1)
+        last, n_even = self.even[-1], self.even[-1].out_features
+        weight = self.join[:n_even].T @ last.weight @ even_in
+        for o in self.odd[hidden:]:
+            weight += self.join[n_even:].T @ o.weight @ odd_in
+        layers.append((weight, last.bias @ self.join[:n_even]))
+        return {
+            f"{i}.{name}": x.numpy()
+            for i, layer in enumerate(layers)
+            for name, x in zip(("weight", "bias"), layer, strict=True)
+        }
+
+
+class ActorCritic(nn.Module):
+    """Two separate networks: the actor is equivariant, the critic invariant.
+
+    The actor's output is the mean of a Gaussian over joint targets (skills), or the logits of a
+    categorical over skill indices (selectors, ``discrete``).
+    """
+
+    def __init__(
+        self, obs_mirror: Mirror, act_mirror: Mirror, hidden: tuple[int, ...], init_std: float, discrete: bool = False
+    ):
+        super().__init__()
+        self.discrete = discrete
+        # A last layer 100 times smaller starts every policy near the home pose.
+        self.actor = EquivariantMLP(obs_mirror, hidden, act_mirror, 0.01)
+        self.critic = EquivariantMLP(obs_mirror, hidden, Mirror.identity(1), 1.0)
+        # A joint and its mirror image explore alike: one number for both.
+        shared = np.unique(np.minimum(act_mirror.index, np.arange(len(act_mirror.index))), return_inverse=True)[1]
+        self.register_buffer("shared", torch.from_numpy(shared), persistent=False)
+        self.log_std = nn.Parameter(torch.full((int(shared.max()) + 1,), float(np.log(init_std))))
+
+    def std(self) -> torch.Tensor:
+        """Return the standard deviation of each action, (act_dim,); the same in every state."""
+        return torch.exp(self.log_std)[self.shared]
+
+    def distribution(self, output: torch.Tensor, std: torch.Tensor) -> Distribution:
+        """Return the distribution of actions for the actor's output (n, act_dim)."""
+        if self.discrete:
+            return Categorical(logits=output, validate_args=False)
+        return Independent(Normal(output, std, validate_args=False), 1, validate_args=False)
+
+    def value(self, parts: torch.Tensor) -> torch.Tensor:
+        """Return V, shape (n,)."""
+        return self.critic(parts).squeeze(-1)
+
+
+def sample(distribution: Distribution, generator: torch.Generator) -> torch.Tensor:
+    """Draw actions from a generator of our own, which PyTorch's own sampling does not take."""
+    if isinstance(distribution, Categorical):
+        return torch.multinomial(distribution.probs, 1, generator=generator).squeeze(-1)
+    return distribution.mean + distribution.stddev * torch.randn(distribution.mean.shape, generator=generator)
 
 
 def fit(
@@ -82,7 +217,7 @@ def fit(
     parameters : what may change
     loss : indices of states (n,) -> mean loss over them
     num_states : states there are
-    epochs, batch_size, learning_rate, generator : passes, states a gradient step, step size, who shuffles
+    epochs, batch_size, learning_rate, generator : passes, states per gradient step, step size, who shuffles
     anneal : let the step size fall to zero on a straight line
     """
     optimizer = torch.optim.Adam(parameters, learning_rate, fused=True)
@@ -100,101 +235,3 @@ def fit(
             summed += float(value.detach()) * len(mb)
         losses.append(summed / num_states)
     return losses
-
-
-class ActorCritic(nn.Module):
-    """Two separate MLPs: the actor's mean (or logits), and the value."""
-
-    def __init__(self, obs_dim: int, act_dim: int, hidden: tuple[int, ...], init_std: float):
-        super().__init__()
-        # A last layer 100 times smaller starts every policy near the home pose.
-        self.actor = mlp([obs_dim, *hidden, act_dim], 0.01)
-        self.critic = mlp([obs_dim, *hidden, 1], 1.0)
-        self.log_std = nn.Parameter(torch.full((act_dim,), float(np.log(init_std))))
-
-    def value(self, obs: torch.Tensor) -> torch.Tensor:
-        """Return V(obs), shape (n,)."""
-        return self.critic(obs).squeeze(-1)
-
-
-def gaussian_log_prob(action: torch.Tensor, mean: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
-    """Log density of a diagonal Gaussian, summed over the action: (n, a) -> (n,)."""
-    # log N(a; m, s) = -((a - m) / s)^2 / 2 - log s - log(2 pi) / 2
-    z = (action - mean) * torch.exp(-log_std)
-    return (-0.5 * z**2 - log_std - 0.5 * LOG_2PI).sum(-1)
-
-
-def gaussian_entropy(log_std: torch.Tensor) -> torch.Tensor:
-    """Entropy of a diagonal Gaussian, summed over the action."""
-    # H = log s + (1 + log(2 pi)) / 2
-    return (log_std + 0.5 * (1.0 + LOG_2PI)).sum(-1)
-
-
-def gaussian_kl(
-    mean_old: torch.Tensor, log_std_old: torch.Tensor, mean_new: torch.Tensor, log_std_new: torch.Tensor
-) -> torch.Tensor:
-    """KL(old || new) of diagonal Gaussians, (n, a) -> (n,)."""
-    # KL = log(s' / s) + (s^2 + (m - m')^2) / (2 s'^2) - 1/2
-    ratio = (torch.exp(2 * log_std_old) + (mean_old - mean_new) ** 2) / (2 * torch.exp(2 * log_std_new))
-    return (log_std_new - log_std_old + ratio - 0.5).sum(-1)
-
-
-class Gaussian:
-    """The action distribution of the skills: continuous joint offsets."""
-
-    @staticmethod
-    def parameters(net: ActorCritic, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return mean and log standard deviation, both (n, a); the latter is the same in every state."""
-        mean = net.actor(obs)
-        return mean, net.log_std.expand_as(mean)
-
-    @staticmethod
-    def sample(parameters: tuple, generator: torch.Generator) -> torch.Tensor:
-        """Draw actions (n, a)."""
-        mean, log_std = parameters
-        return mean + torch.exp(log_std) * torch.randn(mean.shape, generator=generator)
-
-    @staticmethod
-    def log_prob(parameters: tuple, action: torch.Tensor) -> torch.Tensor:
-        """Return the log density of actions (n, a), shape (n,)."""
-        return gaussian_log_prob(action, *parameters)
-
-    @staticmethod
-    def entropy(parameters: tuple) -> torch.Tensor:
-        """Return the entropy, mean over states."""
-        return gaussian_entropy(parameters[1]).mean()
-
-    @staticmethod
-    def kl(old: tuple, new: tuple) -> torch.Tensor:
-        """Return KL(old || new), shape (n,)."""
-        return gaussian_kl(*old, *new)
-
-
-class Categorical:
-    """The action distribution of the selector: one skill index (paper section 3.2)."""
-
-    @staticmethod
-    def parameters(net: ActorCritic, obs: torch.Tensor) -> tuple[torch.Tensor]:
-        """Return log probabilities (n, k)."""
-        return (torch.log_softmax(net.actor(obs), -1),)
-
-    @staticmethod
-    def sample(parameters: tuple, generator: torch.Generator) -> torch.Tensor:
-        """Draw indices (n,)."""
-        return torch.multinomial(parameters[0].exp(), 1, generator=generator).squeeze(-1)
-
-    @staticmethod
-    def log_prob(parameters: tuple, action: torch.Tensor) -> torch.Tensor:
-        """Return the log probability of indices (n,), shape (n,)."""
-        return parameters[0].gather(-1, action.long()[:, None]).squeeze(-1)
-
-    @staticmethod
-    def entropy(parameters: tuple) -> torch.Tensor:
-        """Return -sum p log p, mean over states."""
-        (logp,) = parameters
-        return -(logp.exp() * logp).sum(-1).mean()
-
-    @staticmethod
-    def kl(old: tuple, new: tuple) -> torch.Tensor:
-        """Return KL(old || new), shape (n,)."""
-        return (old[0].exp() * (old[0] - new[0])).sum(-1)

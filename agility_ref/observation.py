@@ -7,17 +7,18 @@ In:  poses and the height maps of a :class:`~agility_ref.world.World`.
 Out: the table OBSERVATION, and the 132 scandots.
 """
 
-import numpy as np
+from dataclasses import dataclass
 
-from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH, SPAWN_X
+from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH
 from agility_ref.world import World
+
+import numpy as np
 
 SCANDOT_X = np.arange(-0.45, 1.21, 0.15, dtype=np.float32)  # (12,) [m] ahead of the trunk
 SCANDOT_Y = np.arange(-0.75, 0.76, 0.15, dtype=np.float32)  # (11,) [m] to its left
 NUM_SCANDOTS = len(SCANDOT_X) * len(SCANDOT_Y)  # 132
 SCANDOT_ZERO = 0.3  # [m] under the trunk: ground there reads 0
 SCANDOT_STD = 0.3  # [m] by which networks divide scandots, whose own spread depends on the course
-SIGHT_MARGIN = 0.1  # [m] by which a walking trunk bobs, and what noise adds
 _GRID = np.stack(np.meshgrid(SCANDOT_X, SCANDOT_Y, indexing="ij")).reshape(2, -1) / np.float32(CELL)  # in cells
 _LAST_CELL = np.array([[n - 1] for n in GRID_SHAPE], np.int32)
 
@@ -45,10 +46,43 @@ def observation_slices() -> dict[str, slice]:
 SCANDOTS = observation_slices()["scandots"]
 # One draw an entry, but one for all scandots together: an error of the height estimate.
 NOISE = np.array([a for name, (n, a) in OBSERVATION.items() for _ in range(n if name != "scandots" else 1)], np.float32)
+# Bounds of an observation, noise included, for spaces that have to be finite.  No working robot reaches those that are
+# not of geometry: 20 m/s, 50 rad/s, 2 m/s of command, 100 rad/s of the joints, 4 units of action.
+_LIMITS = (20.0, 50.0, 1.0, np.pi, 2.0, np.pi, 100.0, 4.0, 1.0, 1.0)
+OBS_BOUND = np.concatenate(
+    [np.full(n, limit + noise, np.float32) for (n, noise), limit in zip(OBSERVATION.values(), _LIMITS, strict=True)]
+)
 
 
-def _mirror() -> tuple[np.ndarray, np.ndarray]:
-    """Index (184,) and sign (184,) with which a robot's mirror image, left for right, observes."""
+@dataclass(frozen=True)
+class Mirror:
+    """Left for right: entry i of the mirror image of x is ``sign[i] * x[index[i]]``, and twice is nothing."""
+
+    index: np.ndarray  # (n,) int
+    sign: np.ndarray  # (n,) +-1, float32
+
+    @classmethod
+    def identity(cls, n: int) -> "Mirror":
+        """Nothing changes: the mirror of n numbers without handedness."""
+        return cls(np.arange(n), np.ones(n, np.float32))
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Mirror vectors (..., n)."""
+        return x[..., self.index] * self.sign
+
+    def bases(self) -> tuple[np.ndarray, np.ndarray]:
+        """Orthonormal rows that span what the mirror keeps, (n_even, n), and what it flips, (n_odd, n)."""
+        eye = np.eye(len(self.index), dtype=np.float32)
+        pair, alone = np.flatnonzero(self.index > np.arange(len(eye))), self.index == np.arange(len(eye))
+        # A pair that swaps gives one row of each: (e_i +- s e_j) / sqrt 2.
+        other = self.sign[pair, None] * eye[self.index[pair]]
+        even = np.concatenate([eye[alone & (self.sign > 0)], (eye[pair] + other) * np.float32(0.5**0.5)])
+        odd = np.concatenate([eye[alone & (self.sign < 0)], (eye[pair] - other) * np.float32(0.5**0.5)])
+        return even, odd
+
+
+def _mirror() -> Mirror:
+    """How a robot's mirror image observes."""
     polar, axial = np.array([1, -1, 1]), np.array([-1, 1, -1])  # vectors, and rotations about axes
     swapped = np.array([1, 0, 3, 2])  # legs FR FL RR RL
     joints = (3 * swapped[:, None] + np.arange(3)).ravel()
@@ -67,12 +101,13 @@ def _mirror() -> tuple[np.ndarray, np.ndarray]:
     }
     starts = {name: part.start for name, part in observation_slices().items()}
     index = np.concatenate([starts[name] + index for name, (index, _) in parts.items()])
-    return index, np.concatenate([sign for _, sign in parts.values()]).astype(np.float32)
+    return Mirror(index, np.concatenate([sign for _, sign in parts.values()]).astype(np.float32))
 
 
-MIRROR_INDEX, MIRROR_SIGN = _mirror()
+OBS_MIRROR = _mirror()
 _ACTION = observation_slices()["last_action"]
-MIRROR_ACTION_INDEX, MIRROR_ACTION_SIGN = MIRROR_INDEX[_ACTION] - _ACTION.start, MIRROR_SIGN[_ACTION]
+ACTION_MIRROR = Mirror(OBS_MIRROR.index[_ACTION] - _ACTION.start, OBS_MIRROR.sign[_ACTION])
+SCANDOT_MIRROR = Mirror(OBS_MIRROR.index[SCANDOTS] - SCANDOTS.start, OBS_MIRROR.sign[SCANDOTS])
 
 
 def wrap(angle: np.ndarray) -> np.ndarray:
@@ -80,30 +115,16 @@ def wrap(angle: np.ndarray) -> np.ndarray:
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-def _quadratic_form() -> np.ndarray:
-    """Coefficients (16, 9) of the rotation matrix in the products q_i q_j of a unit quaternion."""
-    # R = [[ww+xx-yy-zz, 2(xy-wz), 2(xz+wy)], [2(xy+wz), ww-xx+yy-zz, 2(yz-wx)], [2(xz-wy), 2(yz+wx), ww-xx-yy+zz]]
-    w, x, y, z = range(4)
-    form = np.zeros((4, 4, 3, 3))
-    form[w, w] = np.eye(3)
-    for axis, own in zip((x, y, z), np.eye(3), strict=True):
-        form[axis, axis] = np.diag(2 * own - 1)
-    for p, q, i, j, sign in (
-        (x, y, 0, 1, 1), (x, y, 1, 0, 1), (x, z, 0, 2, 1), (x, z, 2, 0, 1), (y, z, 1, 2, 1), (y, z, 2, 1, 1),
-        (w, z, 0, 1, -1), (w, z, 1, 0, 1), (w, y, 0, 2, 1), (w, y, 2, 0, -1), (w, x, 1, 2, -1), (w, x, 2, 1, 1),
-    ):  # fmt: skip
-        form[p, q, i, j] = 2 * sign
-    return form.reshape(16, 9)
-
-
-QUADRATIC_FORM = _quadratic_form()
-
-
 def rotation(quat: np.ndarray) -> np.ndarray:
     """Rotation matrices (N, 3, 3), body to world, of unit quaternions (N, 4), wxyz."""
-    # One matrix product instead of thirty small ones: with N robots the calls cost, not the numbers.
-    products = (quat[:, :, None] * quat[:, None, :]).reshape(-1, 16)
-    return (products @ QUADRATIC_FORM).reshape(-1, 3, 3)
+    w, x, y, z = quat.T
+    ww, xx, yy, zz, xy, xz, yz, wx, wy, wz = w * w, x * x, y * y, z * z, x * y, x * z, y * z, w * x, w * y, w * z
+    rows = (
+        ww + xx - yy - zz, 2 * (xy - wz), 2 * (xz + wy),
+        2 * (xy + wz), ww - xx + yy - zz, 2 * (yz - wx),
+        2 * (xz - wy), 2 * (yz + wx), ww - xx - yy + zz,
+    )  # fmt: skip
+    return np.stack(rows, axis=1).reshape(-1, 3, 3)
 
 
 def scandots(world: World, course: np.ndarray, pos: np.ndarray, yaw: np.ndarray) -> np.ndarray:
@@ -131,37 +152,3 @@ def scandots(world: World, course: np.ndarray, pos: np.ndarray, yaw: np.ndarray)
     flat += (course * (GRID_SHAPE[0] * GRID_SHAPE[1])).astype(np.int32)[:, None]
     seen = (pos[:, 2:] - SCANDOT_ZERO).astype(np.float32) - world.scan.reshape(-1).take(flat)
     return np.minimum(np.maximum(seen, -1.0, out=seen), 1.0, out=seen)
-
-
-def sight(world: World, obs_dim: int = OBS_DIM) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest observation that a robot can make which walks these courses as it should.
-
-    It stands upright anywhere on the line through the waypoints, on the lower or the upper of two
-    levels where they meet, and over pits on the level of their banks.  Only the scandots are
-    bounded, and by SIGHT_MARGIN more than was seen.
-
-    Ours: the paper does not say what a specialist makes of ground that its own courses do not have.  A
-    network is of no use on inputs far from those it was trained on, so a trained policy clips them
-    to these bounds: to one that climbs up, a pit looks as the level ground before a step.
-
-    Parameters
-    ----------
-    world : the courses that a policy is trained on
-    obs_dim : numbers in an observation
-
-    Returns
-    -------
-    (obs_dim,) lowest and (obs_dim,) highest, infinite but for the scandots
-    """
-    low, high = np.full(obs_dim, -np.inf, np.float32), np.full(obs_dim, np.inf, np.float32)
-    views = []
-    for course, waypoints in enumerate(world.waypoints):
-        x = np.arange(SPAWN_X, waypoints[-1, 0] + 0.5, 0.05)
-        on = np.full(len(x), course)
-        line = np.column_stack([x, np.interp(x, *waypoints.T)])
-        lower = world.support[course, world.column(x)]
-        for level in (lower, np.maximum(lower, world.ground(course, line))):
-            views.append(scandots(world, on, np.column_stack([line, level + SCANDOT_ZERO]), np.zeros(len(x))))
-    seen = np.concatenate(views)
-    low[SCANDOTS], high[SCANDOTS] = seen.min(axis=0) - SIGHT_MARGIN, seen.max(axis=0) + SIGHT_MARGIN
-    return low, high

@@ -1,14 +1,13 @@
-"""PPO: the whole algorithm, for the skills and for the selector.
+"""PPO: the whole algorithm, for the skills, the generalists and the selector.
 
-Paper section 3.2.1: the selector is "trained using the same PPO formulation used during
-training of low-level skills".  In: a vector environment with Gymnasium's SAME_STEP
-autoreset.  Out: a trained :class:`~agility_ref.networks.ActorCritic` and its normaliser, and
-one record an iteration.
+Paper section 3.2.1: the selector is "trained using the same PPO formulation used during training
+of low-level skills".  In: a vector environment with Gymnasium's SAME_STEP autoreset.  Out: a
+trained :class:`Learner`, and one record per iteration.
 
-Two things are done here that many references get wrong: a truncated episode bootstraps
-with the value of its **true final observation** and a terminated one does not bootstrap,
-and the normaliser is part of the policy.  What is simplified: the value loss is not
-clipped, and the normaliser changes between iterations, never within one.
+Two things are done here that many references get wrong: a truncated episode bootstraps with the
+value of its **true final observation** and a terminated one does not bootstrap, and the
+normaliser is part of the policy.  What is simplified: the value loss is not clipped, and the
+normaliser changes between iterations, never within one.
 """
 
 import time
@@ -16,56 +15,48 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
+from agility_ref.errors import UserError, require_at_least
+from agility_ref.networks import ActorCritic, Normalizer, sample
+from agility_ref.observation import SCANDOT_STD, Mirror
+
 import numpy as np
 import torch
-
-from agility_ref.errors import UserError
-from agility_ref.networks import ActorCritic, Gaussian, Normalizer
-from agility_ref.observation import MIRROR_ACTION_INDEX, MIRROR_ACTION_SIGN, MIRROR_INDEX, MIRROR_SIGN, SCANDOT_STD
+from torch.distributions import kl_divergence
 
 
 @dataclass(frozen=True)
 class PPOConfig:
     """Hyper-parameters, the same for every policy of Table 1 unless said otherwise."""
 
-    num_envs: int = 256
-    """Robots simulated side by side; usual 64 to 4096."""
-    num_steps: int = 16
-    """Control steps per robot and iteration; usual 16 to 64."""
-    update_epochs: int = 4
-    """Passes over the batch per iteration; usual 3 to 10."""
-    num_minibatches: int = 4
-    """Minibatches per pass; usual 2 to 8."""
-    gamma: float = 0.99
-    """Discount per control step; usual 0.97 to 0.995."""
-    gae_lambda: float = 0.95
-    """Weight of longer returns in the advantage; usual 0.9 to 0.97."""
-    clip_coef: float = 0.2
-    """How far the policy ratio may move before its gradient stops; usual 0.1 to 0.3."""
-    ent_coef: float = 0.005
-    """Weight of the entropy bonus; usual 0 to 0.01."""
-    max_grad_norm: float = 1.0
-    """Gradients of actor and of critic are each scaled down to this norm; usual 0.5 to 1."""
-    learning_rate: float = 1e-3
-    """Start of the adaptive rate; usual 3e-4 to 1e-3."""
-    learning_rate_min: float = 1.5e-4
-    """Floor of the adaptive rate; 1e-5 stalls at batches of 4096."""
-    learning_rate_max: float = 3e-3
-    """Ceiling of the adaptive rate."""
-    critic_learning_rate: float = 0.0
-    """Step size of the critic; 0 for the actor's of the moment.  Set it where that becomes small; usual 5e-4 to 1e-3."""
-    target_kl: float = 0.02
-    """KL divergence per minibatch that the rate is steered to; usual 0.005 to 0.02."""
-    init_std: float = 0.8
-    """Standard deviation of the first policy; usual 0.5 to 1."""
-    final_std: float = 0.2
-    """The standard deviation may not exceed a line from init_std to this; usual 0.1 to 0.3, init_std for no limit."""
-    anneal_share: float = 0.25
-    """Last share of the steps in which KL target and lowest step size fall to zero; 0 for never."""
-    mirror: bool = False
-    """Learn from the mirror images, left for right, of every other robot's steps; skills only."""
-    hidden: tuple[int, ...] = (256, 128)
-    """Units of the hidden layers of actor and critic."""
+    num_envs: int = 256  # robots simulated side by side; usual 64 to 4096
+    num_steps: int = 16  # control steps per robot and iteration; usual 16 to 64
+    update_epochs: int = 4  # passes over the batch per iteration; usual 3 to 10
+    num_minibatches: int = 4  # minibatches per pass; usual 2 to 8
+    gamma: float = 0.99  # discount per control step; usual 0.97 to 0.995
+    gae_lambda: float = 0.95  # weight of longer returns in the advantage; usual 0.9 to 0.97
+    clip_coef: float = 0.2  # how far the policy ratio may move before its gradient stops; usual 0.1 to 0.3
+    ent_coef: float = 0.005  # weight of the entropy bonus; usual 0 to 0.01
+    max_grad_norm: float = 1.0  # gradients of actor and of critic are each scaled down to this norm; usual 0.5 to 1
+    learning_rate: float = 1e-3  # start of the adaptive step size; usual 3e-4 to 1e-3
+    learning_rate_min: float = 1.5e-4  # its floor; 1e-5 stalls at batches of 4096
+    learning_rate_max: float = 3e-3  # its ceiling
+    critic_learning_rate: float = 0.0  # step size of the critic, usual 5e-4 to 1e-3; 0 for the actor's of the moment
+    target_kl: float = 0.02  # KL divergence per minibatch that the step size is steered to; usual 0.005 to 0.02
+    init_std: float = 0.8  # standard deviation of the first policy; usual 0.5 to 1
+    final_std: float = 0.2  # the deviation may not exceed a line from init_std to this; usual 0.1 to 0.3
+    anneal_share: float = 0.25  # last share of the steps in which KL target and floor fall to zero; 0 for never
+    hidden: tuple[int, ...] = (256, 128)  # units per hidden layer of actor and critic; even numbers, usual 64 to 512
+
+    def __post_init__(self):
+        require_at_least(
+            1, num_envs=self.num_envs, num_steps=self.num_steps, update_epochs=self.update_epochs,
+            num_minibatches=self.num_minibatches,
+        )  # fmt: skip
+        require_at_least(1e-9, init_std=self.init_std, final_std=self.final_std, learning_rate=self.learning_rate)
+        if self.num_minibatches > self.batch_size:
+            raise UserError(f"num-minibatches must be at most {self.batch_size} steps, not {self.num_minibatches}")
+        if any(units < 2 or units % 2 for units in self.hidden):
+            raise UserError(f"hidden must be even numbers of units, for they come in pairs, not {self.hidden}")
 
     @property
     def batch_size(self) -> int:
@@ -75,22 +66,17 @@ class PPOConfig:
 
 @dataclass
 class Learner:
-    """What training changes: network, normaliser, optimiser, counters."""
+    """What training changes: network, normaliser, optimisers, counters."""
 
     net: ActorCritic
     normalizer: Normalizer
     config: PPOConfig
-    distribution: type = Gaussian
     seed: int = 0
     learning_rate: float = field(init=False)
-    steps: int = 0
-    """Environment steps so far, warm start included."""
-    start: int = 0
-    """Of these, the warm start's."""
-    actor_start: int = 0
-    """Environment steps up to which the critic learns alone, see :meth:`warm_start`."""
-    anneal: float = 1.0
-    """Factor of KL target and lowest step size; see :func:`schedule`."""
+    steps: int = 0  # environment steps so far, warm start included
+    start: int = 0  # of these, the warm start's
+    actor_start: int = 0  # environment steps up to which the critic learns alone, after a start without critic
+    anneal: float = 1.0  # factor of KL target and floor of the step size, see schedule
 
     def __post_init__(self):
         self.learning_rate = self.config.learning_rate
@@ -101,87 +87,29 @@ class Learner:
         self.critic_optimizer = torch.optim.Adam(self.net.critic.parameters(), self.learning_rate, fused=True)
         self.generator = torch.Generator().manual_seed(self.seed)
 
+    @classmethod
+    def create(
+        cls,
+        obs_mirror: Mirror,
+        act_mirror: Mirror,
+        config: PPOConfig,
+        seed: int,
+        discrete: bool = False,
+        fixed: slice = slice(0, 0),
+    ) -> "Learner":
+        """Start from scratch; ``fixed`` observations are not normalised but divided by SCANDOT_STD."""
+        torch.manual_seed(seed)
+        net = ActorCritic(obs_mirror, act_mirror, config.hidden, config.init_std, discrete)
+        return cls(net, Normalizer(obs_mirror, fixed, SCANDOT_STD), config, seed)
+
     @property
     def actor_rests(self) -> bool:
         """Whether the critic still learns alone."""
         return self.steps < self.actor_start
 
-    @classmethod
-    def create(
-        cls,
-        obs_dim: int,
-        act_dim: int,
-        config: PPOConfig,
-        seed: int,
-        distribution: type = Gaussian,
-        fixed: slice = slice(0, 0),
-    ) -> "Learner":
-        """Start from scratch; ``fixed`` observations are not normalised but divided by SCANDOT_STD."""
-        torch.manual_seed(seed)
-        net = ActorCritic(obs_dim, act_dim, config.hidden, config.init_std)
-        return cls(net, Normalizer(obs_dim, fixed, SCANDOT_STD), config, distribution, seed)
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return the network and the normaliser, as checkpoints hold them."""
-        n = self.normalizer
-        arrays = {name: p.detach().numpy().copy() for name, p in self.net.named_parameters()}
-        return arrays | {
-            "normalizer.mean": n.mean.copy(), "normalizer.var": n.var.copy(), "normalizer.count": np.array(n.count)
-        }  # fmt: skip
-
-    def training_arrays(self) -> dict[str, np.ndarray]:
-        """Return what resuming needs beyond :meth:`arrays`: Adam's moments, the rate, when the actor starts."""
-        state = {
-            "optimizer.learning_rate": np.array(self.learning_rate),
-            "optimizer.actor_start": np.array(self.actor_start),
-        }
-        for name, parameter in self.net.named_parameters():
-            for key, value in self._optimizer(name).state.get(parameter, {}).items():
-                state[f"optimizer.{name}.{key}"] = value.numpy().copy()
-        return state
-
-    def _optimizer(self, parameter_name: str) -> torch.optim.Adam:
-        return self.critic_optimizer if parameter_name.startswith("critic.") else self.actor_optimizer
-
-    def load_arrays(self, arrays: dict[str, np.ndarray]) -> None:
-        """Copy :meth:`arrays`, and :meth:`training_arrays` where present, into this learner.
-
-        Raises
-        ------
-        UserError : the arrays are those of another network
-        """
-        with torch.no_grad():
-            for name, parameter in self.net.named_parameters():
-                shape = arrays[name].shape if name in arrays else None
-                if shape != tuple(parameter.shape):
-                    raise UserError(f"checkpoint has {name} of shape {shape}, this network {tuple(parameter.shape)}")
-                parameter.copy_(torch.from_numpy(arrays[name]))
-        n = self.normalizer
-        n.mean[:], n.var[:] = arrays["normalizer.mean"], arrays["normalizer.var"]
-        n.count = float(arrays["normalizer.count"])
-        self.learning_rate = float(arrays.get("optimizer.learning_rate", self.learning_rate))
-        self.actor_start = int(arrays.get("optimizer.actor_start", self.actor_start))
-        for name, parameter in self.net.named_parameters():
-            keys = ("step", "exp_avg", "exp_avg_sq")
-            if f"optimizer.{name}.step" in arrays:
-                self._optimizer(name).state[parameter] = {
-                    key: torch.from_numpy(arrays[f"optimizer.{name}.{key}"].copy()) for key in keys
-                }
-
-    def warm_start(self, arrays: dict[str, np.ndarray], steps: int, std: float, critic_steps: int = 0) -> None:
-        """Go on from another policy's network after its ``steps``, with a fresh optimiser and exploration noise ``std``.
-
-        A policy that was not learned from rewards has no critic.  The values of a new one would
-        ruin its actor, which therefore rests for the first ``critic_steps`` environment steps, and
-        starts with small ones.
-        """
-        self.steps = self.start = self.actor_start = steps
-        if not any(name.startswith("critic.") for name in arrays):
-            self.actor_start += critic_steps
-            self.learning_rate = self.config.learning_rate_min
-        own = {name: array for name, array in self.arrays().items() if not name.startswith(("actor.", "normalizer."))}
-        self.load_arrays(own | {name: a for name, a in arrays.items() if not name.startswith("optimizer.")})
-        self.net.log_std.data.fill_(float(np.log(std)))
+    def observe(self, observation: np.ndarray) -> torch.Tensor:
+        """Normalise observations (n, obs_dim) and split them into even and odd part, as the networks take them."""
+        return self.net.actor.parts(torch.from_numpy(self.normalizer(observation)))
 
 
 def gae(
@@ -218,6 +146,18 @@ def gae(
     return advantages
 
 
+def normalize_advantages(advantages: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+    """Bring advantages (T, N) to mean 0 and variance 1 within each kind of course, ``kinds`` (T, N).
+
+    Together, the kind on which rewards vary most would drown the others.
+    """
+    normalized = np.zeros_like(advantages)
+    for kind in np.unique(kinds):
+        a = advantages[kinds == kind]
+        normalized[kinds == kind] = (a - a.mean()) / (a.std() + 1e-8)
+    return normalized
+
+
 def policy_loss(
     log_prob: torch.Tensor, old_log_prob: torch.Tensor, advantage: torch.Tensor, clip_coef: float
 ) -> torch.Tensor:
@@ -229,9 +169,9 @@ def policy_loss(
 
 
 def adapt_learning_rate(rate: float, kl: float, config: PPOConfig, anneal: float = 1.0) -> float:
-    """Divide the rate by 1.5 where KL is above twice the target, multiply below half of it.
+    """Divide the step size by 1.5 where KL is above twice the target, multiply it below half of the target.
 
-    ``anneal``, from 1 down to 0, scales the target and the lowest rate.
+    ``anneal``, from 1 down to 0, scales the target and the lowest step size.
     """
     if kl > 2.0 * anneal * config.target_kl:
         rate /= 1.5
@@ -255,82 +195,75 @@ def schedule(progress: float, config: PPOConfig) -> tuple[float, float]:
 class Rollout:
     """num_steps steps of every robot, arrays (T, N, ...)."""
 
-    obs: torch.Tensor
+    observations: np.ndarray  # (T, N, obs_dim) before normalisation, for the normaliser
+    parts: torch.Tensor  # even and odd part of the normalised observations
+    outputs: torch.Tensor  # of the actor: the mean, or the logits, ...
+    std: torch.Tensor  # ... and (act_dim,) the deviation with which each action was drawn
     actions: torch.Tensor
-    parameters: tuple[torch.Tensor, ...]
-    """Of the distribution that each action was drawn from."""
     rewards: np.ndarray
     values: np.ndarray
     next_values: np.ndarray
     terminated: np.ndarray
     truncated: np.ndarray
-    raw_obs: np.ndarray
-    """(T, N, obs_dim) before normalisation, for the normaliser."""
-    episodes: list[dict]
-    """One entry per episode that ended: reward, length, waypoints, edge."""
+    kinds: np.ndarray  # kind of course of each step
+    episodes: list[dict]  # one entry per episode that ended: reward, length, waypoints, edge
 
 
 @dataclass
 class Batch:
     """A minibatch of n steps, arrays (n, ...)."""
 
-    obs: torch.Tensor
+    parts: torch.Tensor
     actions: torch.Tensor
     advantages: torch.Tensor
-    returns: torch.Tensor
-    """Targets of the critic."""
-    old: tuple[torch.Tensor, ...]
-    """Parameters of the distribution that each action was drawn from ..."""
-    old_log_prob: torch.Tensor
-    """... and what it gave the action."""
+    returns: torch.Tensor  # targets of the critic
+    outputs: torch.Tensor  # of the actor that drew the actions ...
+    log_prob: torch.Tensor  # ... and what it gave them
 
 
 @torch.inference_mode()
-def collect(env, learner: Learner, obs: np.ndarray) -> tuple[Rollout, np.ndarray]:
+def collect(env, learner: Learner, observation: np.ndarray) -> tuple[Rollout, np.ndarray]:
     """Run the policy for num_steps; return the rollout and the next observation (N, obs_dim)."""
-    c, net, norm = learner.config, learner.net, learner.normalizer
-    T, N = c.num_steps, c.num_envs
-    raw_obs = np.zeros((T, N, obs.shape[1]), np.float32)
-    normalized = torch.zeros(raw_obs.shape)
-    rewards = np.zeros((T, N), np.float32)
-    terminated, truncated = np.zeros((T, N), bool), np.zeros((T, N), bool)
-    parameters, actions, episodes, cut_short = [], [], [], []
+    net, T, N = learner.net, learner.config.num_steps, learner.config.num_envs
+    std = net.std()
+    observations, rewards = np.zeros((T, *observation.shape), np.float32), np.zeros((T, N), np.float32)
+    terminated, truncated, kinds = np.zeros((T, N), bool), np.zeros((T, N), bool), np.zeros((T, N), int)
+    parts, outputs, actions, episodes, cut_short = [], [], [], [], []
     for t in range(T):
-        raw_obs[t] = obs
-        normalized[t] = torch.from_numpy(norm(obs))
-        parameters.append(learner.distribution.parameters(net, normalized[t]))
-        action = learner.distribution.sample(parameters[t], learner.generator)
-        actions.append(action)
-        obs, rewards[t], terminated[t], truncated[t], info = env.step(action.numpy())
-        done = np.flatnonzero(terminated[t] | truncated[t])
-        episodes += [{key: value[i] for key, value in info["episode"].items()} for i in done]
-        for i in np.flatnonzero(truncated[t]):
-            cut_short.append((t, i, info["final_observation"][i]))
-    values = net.value(normalized.flatten(0, 1)).view(T, N).numpy()
-    next_values = np.concatenate([values[1:], net.value(torch.from_numpy(norm(obs))).numpy()[None]])
+        observations[t] = observation
+        parts.append(learner.observe(observation))
+        outputs.append(net.actor(parts[t]))
+        actions.append(sample(net.distribution(outputs[t], std), learner.generator))
+        observation, rewards[t], terminated[t], truncated[t], info = env.step(actions[t].numpy())
+        kinds[t] = info["kind"]
+        for i in np.flatnonzero(terminated[t] | truncated[t]):
+            episodes.append({key: value[i] for key, value in info["totals"].items()})
+        cut_short += [(t, i, info["final_obs"][i]) for i in np.flatnonzero(truncated[t])]
+    parts = torch.stack(parts)
+    values = net.value(parts.flatten(0, 1)).view(T, N).numpy()
+    next_values = np.concatenate([values[1:], net.value(learner.observe(observation)).numpy()[None]])
     if cut_short:
-        t, i, final_obs = zip(*cut_short, strict=True)
-        next_values[list(t), list(i)] = net.value(torch.from_numpy(norm(np.stack(final_obs)))).numpy()
+        t, i, final = zip(*cut_short, strict=True)
+        next_values[list(t), list(i)] = net.value(learner.observe(np.stack(final))).numpy()
     rollout = Rollout(
-        normalized, torch.stack(actions), tuple(torch.stack(p) for p in zip(*parameters, strict=True)),
-        rewards, values, next_values, terminated, truncated, raw_obs, episodes,
+        observations, parts, torch.stack(outputs), std, torch.stack(actions),
+        rewards, values, next_values, terminated, truncated, kinds, episodes,
     )  # fmt: skip
-    return rollout, obs
+    return rollout, observation
 
 
-def update_actor(learner: Learner, batches: list[Batch]) -> dict[str, float]:
+def update_actor(learner: Learner, batches: list[Batch], old_std: torch.Tensor) -> dict[str, float]:
     """Take one gradient step on the policy per minibatch and pass; return mean losses, KL and clip fraction."""
-    c, net, dist = learner.config, learner.net, learner.distribution
+    c, net = learner.config, learner.net
     sums = {"policy_loss": 0.0, "entropy": 0.0, "kl": 0.0, "clip_fraction": 0.0}
     for mb in [] if learner.actor_rests else batches * c.update_epochs:
-        new = dist.parameters(net, mb.obs)
-        log_prob = dist.log_prob(new, mb.actions)
+        new = net.distribution(net.actor(mb.parts), net.std())
+        log_prob, entropy = new.log_prob(mb.actions), new.entropy().mean()
         with torch.no_grad():
-            kl = float(dist.kl(mb.old, new).mean())
-            clip_fraction = ((log_prob - mb.old_log_prob).exp() - 1).abs().gt(c.clip_coef).float().mean()
+            kl = float(kl_divergence(net.distribution(mb.outputs, old_std), new).mean())
+            clip_fraction = ((log_prob - mb.log_prob).exp() - 1).abs().gt(c.clip_coef).float().mean()
         learner.learning_rate = adapt_learning_rate(learner.learning_rate, kl, c, learner.anneal)
-        pg_loss = policy_loss(log_prob, mb.old_log_prob, mb.advantages, c.clip_coef)
-        entropy = dist.entropy(new)
+        pg_loss = policy_loss(log_prob, mb.log_prob, mb.advantages, c.clip_coef)
         _descend(learner.actor_optimizer, learner.learning_rate, pg_loss - c.ent_coef * entropy, c.max_grad_norm)
         for key, value in zip(sums, (pg_loss.detach(), entropy.detach(), kl, clip_fraction), strict=True):
             sums[key] += float(value) / (len(batches) * c.update_epochs)
@@ -342,7 +275,7 @@ def update_critic(learner: Learner, batches: list[Batch], learning_rate: float) 
     c, total = learner.config, 0.0
     for mb in batches * c.update_epochs:
         # L = mean((V(s) - R)^2) / 2
-        loss = 0.5 * ((learner.net.value(mb.obs) - mb.returns) ** 2).mean()
+        loss = 0.5 * ((learner.net.value(mb.parts) - mb.returns) ** 2).mean()
         _descend(learner.critic_optimizer, learning_rate, loss, c.max_grad_norm)
         total += float(loss.detach()) / (len(batches) * c.update_epochs)
     return {"value_loss": total}
@@ -357,58 +290,46 @@ def _descend(optimizer: torch.optim.Adam, learning_rate: float, loss: torch.Tens
     optimizer.step()
 
 
-@torch.inference_mode()
-def mirror_alternate(learner: Learner, rollout: Rollout) -> None:
-    """Replace the steps of every other robot by their mirror images, left for right, in place.
-
-    The robot and its courses have no handedness, so what was good on one side is good on the
-    other: probabilities, advantages and values carry over (Mittal et al. 2024, "Symmetry
-    considerations for learning task symmetric robot policies").
-    """
-    flipped = rollout.raw_obs[:, 1::2][:, :, MIRROR_INDEX] * MIRROR_SIGN
-    rollout.obs[:, 1::2] = torch.from_numpy(learner.normalizer(flipped))
-    mean, log_std = rollout.parameters
-    sign = torch.from_numpy(MIRROR_ACTION_SIGN)
-    for values, factor in ((rollout.actions, sign), (mean, sign), (log_std, 1.0)):
-        values[:, 1::2] = values[:, 1::2][:, :, MIRROR_ACTION_INDEX] * factor
-
-
 def update(learner: Learner, rollout: Rollout) -> dict[str, float]:
     """One PPO update; return the mean losses, KL and clip fraction.
 
     Actor and critic share no weights, so they learn side by side, each in a thread of its own:
     two cores stay busy, and the result does not depend on their timing.
     """
-    c = learner.config
-    advantages = gae(
-        rollout.rewards, rollout.values, rollout.next_values,
-        rollout.terminated, rollout.truncated, c.gamma, c.gae_lambda,
-    )  # fmt: skip
-    returns = torch.from_numpy(advantages + rollout.values).flatten()
-    advantages = torch.from_numpy((advantages - advantages.mean()) / (advantages.std() + 1e-8)).flatten()
-    if c.mirror:
-        mirror_alternate(learner, rollout)
-    obs, actions = rollout.obs.flatten(0, 1), rollout.actions.flatten(0, 1)
-    old = tuple(p.flatten(0, 1) for p in rollout.parameters)
-    old_log_prob = learner.distribution.log_prob(old, actions)
-    # Dealt out once and not anew every pass: gathering rows of obs is a tenth of the update.
+    c, r = learner.config, rollout
+    advantages = gae(r.rewards, r.values, r.next_values, r.terminated, r.truncated, c.gamma, c.gae_lambda)
+    returns = torch.from_numpy(advantages + r.values).flatten()
+    advantages = torch.from_numpy(normalize_advantages(advantages, r.kinds)).flatten()
+    parts, outputs, actions = (x.flatten(0, 1) for x in (r.parts, r.outputs, r.actions))
+    log_prob = learner.net.distribution(outputs, r.std).log_prob(actions)
+    # Dealt out once and not anew every pass: gathering rows is a tenth of the update.
     batches = [
-        Batch(obs[i], actions[i], advantages[i], returns[i], tuple(p[i] for p in old), old_log_prob[i])
-        for i in torch.randperm(len(obs), generator=learner.generator).chunk(c.num_minibatches)
+        Batch(parts[i], actions[i], advantages[i], returns[i], outputs[i], log_prob[i])
+        for i in torch.randperm(len(parts), generator=learner.generator).chunk(c.num_minibatches)
     ]
     with ThreadPoolExecutor(2) as pool:
         # The critic keeps the step size of the start, the actor steers it by the KL divergence.
         rate = c.critic_learning_rate or (c.learning_rate if learner.actor_rests else learner.learning_rate)
         critic = pool.submit(update_critic, learner, batches, rate)
-        actor = pool.submit(update_actor, learner, batches)
-    learner.normalizer.update(rollout.raw_obs.reshape(-1, rollout.raw_obs.shape[-1]))
+        actor = pool.submit(update_actor, learner, batches, r.std)
+    learner.normalizer.update(r.observations.reshape(-1, r.observations.shape[-1]))
     return actor.result() | critic.result()
 
 
-def train(env, learner: Learner, total_steps: int, stop: Callable[[], bool] = lambda: False) -> Iterator[dict]:
-    """Alternate :func:`collect` and :func:`update` until ``total_steps``; yield each iteration's record."""
+def train(
+    env,
+    learner: Learner,
+    total_steps: int,
+    stop: Callable[[], bool] = lambda: False,
+    obs: np.ndarray | None = None,
+) -> Iterator[dict]:
+    """Alternate :func:`collect` and :func:`update` until ``total_steps``; yield each iteration's record.
+
+    A run that goes on starts from its last observation ``obs`` (N, obs_dim), others from new episodes.
+    """
     torch.set_num_threads(1)  # two threads fight the simulation's and gain nothing at this size
-    obs, _ = env.reset(learner.seed + learner.steps)
+    if obs is None:
+        obs, _ = env.reset(learner.seed + learner.steps)
     while learner.steps < total_steps and not stop():
         start = time.perf_counter()
         rollout, obs = collect(env, learner, obs)
@@ -418,12 +339,11 @@ def train(env, learner: Learner, total_steps: int, stop: Callable[[], bool] = la
         losses = update(learner, rollout)
         learner.net.log_std.data.clamp_(max=float(np.log(max_std)))
         learner.steps += learner.config.batch_size
-        seconds = time.perf_counter() - start
         yield {
             "steps": learner.steps,
-            "steps_per_second": learner.config.batch_size / seconds,
+            "steps_per_second": learner.config.batch_size / (time.perf_counter() - start),
             "learning_rate": learner.learning_rate,
-            "std": float(learner.net.log_std.detach().exp().mean()),
+            "std": float(learner.net.std().detach().mean()),
             "episodes": rollout.episodes,
             **losses,
         }

@@ -1,4 +1,4 @@
-"""Rewards: one function a term, one table of weights.
+"""Rewards: one function per term, one table of weights.
 
 The terms are those of the Extreme Parkour code base, which the paper uses "as per
 original paper" (section 3.2.2): github.com/chengxuxin/extreme-parkour,
@@ -13,9 +13,9 @@ the squared torque *changes* (weight -1e-7 there) are left out.
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from agility_ref.go1 import DEFAULT_DOF_POS
+
+import numpy as np
 
 STUMBLE_RATIO = 4.0  # a foot stumbles when it is pushed sideways this many times as hard as upwards
 DRAG_CLEARANCE = 0.05  # [m] a foot that moves is to keep this far off the ground
@@ -26,48 +26,27 @@ STANDING_SHARE = 0.3  # of the commanded speed: slower than this a robot stands
 class StepState:
     """What the reward terms read, for N robots after one control step."""
 
-    dt: float
-    """Control time step [s]."""
-    base_lin_vel: np.ndarray
-    """(N, 3) velocity of the trunk in its own frame [m/s]."""
-    base_ang_vel: np.ndarray
-    """(N, 3) angular velocity of the trunk in its own frame [rad/s]."""
-    projected_gravity: np.ndarray
-    """(N, 3) unit gravity vector in the trunk's frame; (0, 0, -1) when level."""
-    goal_velocity: np.ndarray
-    """(N,) world velocity along the direction of the current waypoint [m/s]."""
-    speed: np.ndarray
-    """(N,) horizontal speed [m/s]."""
-    heading_error: np.ndarray
-    """(N,) angle from the robot's heading to the current waypoint [rad], in +-pi."""
-    command: np.ndarray
-    """(N,) commanded forward speed [m/s]."""
-    on_level_course: np.ndarray
-    """(N,) bool, robots on the walk course."""
-    dof_pos: np.ndarray
-    """(N, 12) [rad]"""
-    dof_vel: np.ndarray
-    """(N, 12) [rad/s]"""
-    last_dof_vel: np.ndarray
-    """(N, 12) one control step earlier [rad/s]."""
-    torque: np.ndarray
-    """(N, 12) [N m]"""
-    action: np.ndarray
-    """(N, 12) as given by the policy."""
-    last_action: np.ndarray
-    """(N, 12) one control step earlier."""
-    foot_force: np.ndarray
-    """(N, 4, 3) ground force on each foot in the world frame [N]."""
-    foot_contact: np.ndarray
-    """(N, 4) bool, foot touches the ground."""
-    foot_on_edge: np.ndarray
-    """(N, 4) bool, foot in contact within 5 cm of an edge."""
-    foot_speed: np.ndarray
-    """(N, 4) horizontal speed of the feet [m/s]."""
-    foot_clearance: np.ndarray
-    """(N, 4) height of the feet over the ground under them [m]."""
-    body_contact: np.ndarray
-    """(N, 9) bool, trunk, thighs and calves touching the terrain."""
+    dt: float  # control time step [s]
+    base_lin_vel: np.ndarray  # (N, 3) velocity of the trunk in its own frame [m/s]
+    base_ang_vel: np.ndarray  # (N, 3) angular velocity of the trunk in its own frame [rad/s]
+    projected_gravity: np.ndarray  # (N, 3) unit gravity vector in the trunk's frame; (0, 0, -1) when level
+    goal_velocity: np.ndarray  # (N,) world velocity along the direction of the current waypoint [m/s]
+    speed: np.ndarray  # (N,) horizontal speed [m/s]
+    heading_error: np.ndarray  # (N,) angle from the robot's heading to the current waypoint [rad], in +-pi
+    command: np.ndarray  # (N,) commanded forward speed [m/s]
+    on_level_course: np.ndarray  # (N,) bool, robots on the walk course
+    dof_pos: np.ndarray  # (N, 12) [rad]
+    dof_vel: np.ndarray  # (N, 12) [rad/s]
+    last_dof_vel: np.ndarray  # (N, 12) one control step earlier [rad/s]
+    torque: np.ndarray  # (N, 12) [N m]
+    action: np.ndarray  # (N, 12) as given by the policy
+    last_action: np.ndarray  # (N, 12) one control step earlier
+    foot_force: np.ndarray  # (N, 4, 3) ground force on each foot in the world frame [N]
+    foot_contact: np.ndarray  # (N, 4) bool, foot touches the ground
+    foot_on_edge: np.ndarray  # (N, 4) bool, foot in contact within 5 cm of an edge
+    foot_speed: np.ndarray  # (N, 4) horizontal speed of the feet [m/s]
+    foot_clearance: np.ndarray  # (N, 4) height of the feet over the ground under them [m]
+    body_contact: np.ndarray  # (N, 9) bool, trunk, thighs and calves touching the terrain
 
 
 def tracking_goal_vel(s: StepState) -> np.ndarray:
@@ -198,40 +177,23 @@ TERMS = {
 class RewardConfig:
     """The weight of every term [1/s]; docs/training.md shows what changing them does."""
 
-    tracking_goal_vel: float = 1.5
-    """Speed towards the waypoint; original 1.5."""
-    tracking_yaw: float = 0.5
-    """Facing the waypoint; original 0.5."""
-    lin_vel_z: float = -0.8
-    """Bouncing; original -1."""
-    ang_vel_xy: float = -0.02
-    """Rolling and pitching rates; original -0.05."""
-    orientation: float = -1.0
-    """Tilt on level ground; original -1."""
-    dof_acc: float = -2.5e-7
-    """Joint acceleration; original -2.5e-7."""
-    torques: float = -1e-5
-    """Joint torque; original -1e-5."""
-    action_rate: float = -0.03
-    """Change of action; original -0.1, which stops a beginner from moving at our budgets."""
-    hip_pos: float = -0.5
-    """Legs spread sideways; original -0.5."""
-    dof_error: float = -0.04
-    """Distance from the home pose; original -0.04."""
-    collision: float = -0.5
-    """Touching the terrain with anything but the feet; original -10."""
-    feet_stumble: float = -0.2
-    """Kicking vertical faces; original -1."""
-    feet_edge: float = -0.5
-    """Stepping on edges; original -1, there only on the harder courses."""
-    feet_drag: float = -2.0
-    """Feet that move close to the ground; original 0."""
-    gait_sync: float = -0.3
-    """Diagonal feet out of step, and flight, on the level course; original 0."""
-    standing: float = -0.5
-    """Not getting on; cancels what standing earns by facing the waypoint; original 0."""
-    alive: float = 0.5
-    """Not having fallen, on the level course; original 0, with the sum clipped at zero."""
+    tracking_goal_vel: float = 1.5  # speed towards the waypoint; original 1.5
+    tracking_yaw: float = 0.5  # facing the waypoint; original 0.5
+    lin_vel_z: float = -0.8  # bouncing; original -1
+    ang_vel_xy: float = -0.02  # rolling and pitching rates; original -0.05
+    orientation: float = -1.0  # tilt on level ground; original -1
+    dof_acc: float = -2.5e-7  # joint acceleration; original -2.5e-7
+    torques: float = -1e-5  # joint torque; original -1e-5
+    action_rate: float = -0.03  # change of action; original -0.1, which stops a beginner from moving at our budgets
+    hip_pos: float = -0.5  # legs spread sideways; original -0.5
+    dof_error: float = -0.04  # distance from the home pose; original -0.04
+    collision: float = -0.5  # touching the terrain with anything but the feet; original -10
+    feet_stumble: float = -0.2  # kicking vertical faces; original -1
+    feet_edge: float = -0.5  # stepping on edges; original -1, there only on the harder courses
+    feet_drag: float = -2.0  # feet that move close to the ground; original 0
+    gait_sync: float = -0.3  # diagonal feet out of step, and flight, on the level course; original 0
+    standing: float = -0.5  # not getting on; cancels what standing earns by facing the waypoint; original 0
+    alive: float = 0.5  # not having fallen, on the level course; original 0, with the sum clipped at zero
 
 
 def compute_reward(state: StepState, weights: RewardConfig) -> tuple[np.ndarray, dict[str, np.ndarray]]:

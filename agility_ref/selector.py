@@ -9,14 +9,14 @@ Out: a Hierarchy; for PPO, an environment whose action is a skill index.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-
-import numpy as np
+from dataclasses import dataclass
 
 from agility_ref.env import ACTION_DIM, Go1Env
-from agility_ref.observation import OBS_DIM, SCANDOT_STD, SCANDOTS
+from agility_ref.observation import OBS_DIM, SCANDOT_MIRROR, SCANDOT_STD, SCANDOTS, Mirror
 from agility_ref.policy import Policy
 from agility_ref.terrain import SKILLS
+
+import numpy as np
 
 Chooser = Callable[[np.ndarray, Go1Env], np.ndarray]
 """(observation (N, 184), env) -> skill index (N,)."""
@@ -37,21 +37,7 @@ class Hierarchy:
     name: str
     skills: tuple[Policy, ...]
     choose: Chooser
-    decision_steps: int = 1
-    """Control steps between decisions; 1 in the paper."""
-    labels: np.ndarray = field(default_factory=lambda: np.arange(len(SKILLS)))
-    """(5,) index among ``skills`` of each of the oracle's labels."""
-
-    def __post_init__(self):
-        self.reset()
-
-    def reset(self, robots: np.ndarray | None = None) -> None:
-        """Forget the decisions of robots whose episode ended, of all by default: they decide anew at once."""
-        if robots is None:
-            self._held: np.ndarray | None = None
-            self._age: np.ndarray | None = None  # (N,) control steps since a robot's first decision
-        elif self._age is not None:
-            self._age[robots] = 0
+    labels: np.ndarray  # (5,) index among the skills of each of the oracle's labels
 
     def execute(self, observation: np.ndarray, skill: np.ndarray) -> np.ndarray:
         """Return the action of each robot's chosen skill, (N, 12)."""
@@ -62,13 +48,8 @@ class Hierarchy:
 
     def act(self, observation: np.ndarray, env: Go1Env) -> tuple[np.ndarray, np.ndarray]:
         """Return the action (N, 12) and the skill that made it (N,)."""
-        if self._held is None:
-            self._held, self._age = np.zeros(len(observation), int), np.zeros(len(observation), int)
-        due = self._age % self.decision_steps == 0
-        if due.any():
-            self._held = np.where(due, self.choose(observation, env), self._held)
-        self._age += 1
-        return self.execute(observation, self._held), self._held
+        skill = self.choose(observation, env)
+        return self.execute(observation, skill), skill
 
 
 @dataclass
@@ -78,9 +59,6 @@ class Single:
     name: str
     policy: Policy
 
-    def reset(self, robots: np.ndarray | None = None) -> None:
-        """Nothing to forget."""
-
     def act(self, observation: np.ndarray, env: Go1Env) -> tuple[np.ndarray, None]:
         """Return the action (N, 12); no skill was chosen."""
         return self.policy(observation), None
@@ -89,154 +67,66 @@ class Single:
 def oracle_hierarchy(name: str, skills: dict[str, Policy]) -> Hierarchy:
     """The oracle policy: the region map under the robot names the skill."""
     labels = skill_labels(tuple(skills))
-    return Hierarchy(name, tuple(skills.values()), lambda obs, env: labels[env.oracle_skill()], labels=labels)
+    return Hierarchy(name, tuple(skills.values()), lambda obs, env: labels[env.oracle_skill()], labels)
 
 
 def selector_hierarchy(name: str, skills: dict[str, Policy], selector: Policy) -> Hierarchy:
     """A learned selector: the skill with the largest logit.
 
     A network with 132 inputs reads the scandots alone (paper section 3.2.3); one with 184
-    reads scandots, proprioception and heading (section 3.2.1).  Its checkpoint records how
-    many control steps it holds a choice.
+    reads scandots, proprioception and heading (section 3.2.1).
     """
 
     def choose(observation: np.ndarray, env: Go1Env) -> np.ndarray:
         inputs = observation if selector.obs_dim == OBS_DIM else observation[:, SCANDOTS]
         return selector(inputs).argmax(axis=1)
 
-    hold = selector.meta.get("decision_steps", 1)
-    return Hierarchy(name, tuple(skills.values()), choose, hold, skill_labels(tuple(skills)))
-
-
-@dataclass(frozen=True)
-class SelectorConfig:
-    """How a learned selector decides, and what its PPO is charged for."""
-
-    decision_steps: int = 1
-    """Control steps between decisions; 1 in the paper, 10 (0.2 s) for the ablation."""
-    switch_cost: float = 0.0
-    """Reward taken for each change of skill within an episode, ps-rl only; usual 0 to 0.2."""
-    ent_coef: float = 0.01
-    """Entropy bonus of the PPO selector, against mode collapse; usual 0.005 to 0.05."""
+    return Hierarchy(name, tuple(skills.values()), choose, skill_labels(tuple(skills)))
 
 
 class SelectorEnv:
     """Go1Env with a skill index as its action (paper section 3.2.2).
 
-    **Reward** of a decision that is held for k control steps::
-
-        R = sum over j < k of gamma^j r_j  -  switch_cost [the skill changed]
-
-    where r is the robot's own reward, or +dt where the acting skill is the oracle's and -dt
-    where it is not.  Discounted by gamma^k per decision, R adds up to the return of the
-    control steps (Sutton, Precup and Singh 1999), so decisions of any length have the same
-    objective, but for one simplification: an episode that runs out of time within a hold is
-    bootstrapped with gamma^k as well.  The first decision of an episode is free.
-
-    **Autoreset**: SAME_STEP, as in :class:`Go1Env`, also within a hold.  A robot whose episode
-    ends there is done in this decision, with the reward up to the end and the true final
-    observation.  Its next episode starts at once: until the next decision, less than k control
-    steps later, it walks (every course begins on a level platform), and the reward of these
-    steps is not counted.  ``info["episode"]`` counts control steps.
+    **Reward**: the robot's own ("environment"), or +dt where the acting skill is the oracle's and
+    -dt where it is not ("oracle").  Everything else is :class:`~agility_ref.env.Go1Env`'s.
     """
 
-    def __init__(
-        self,
-        env: Go1Env,
-        hierarchy: Hierarchy,
-        reward: str,
-        config: SelectorConfig = SelectorConfig(),
-        gamma: float = 0.99,
-    ):
-        """Take over the robots.
-
-        Parameters
-        ----------
-        env : the robots
-        hierarchy : the frozen skills; its chooser is not used
-        reward : "environment" for the robots' own reward, "oracle" for agreement with the oracle
-        config : length of a hold, cost of a switch
-        gamma : discount per control step
-        """
+    def __init__(self, env: Go1Env, hierarchy: Hierarchy, reward: str):
+        """Take over the robots; the hierarchy's own chooser is not used."""
         self.env, self.hierarchy, self.reward = env, hierarchy, reward
-        self.config, self.gamma = config, gamma
-        self._walk = hierarchy.labels[SKILLS.index("walk")]
-        self._observation = np.zeros((env.num_envs, OBS_DIM), np.float32)
-        self._previous = np.full(env.num_envs, -1)  # skill of the last decision; -1: none in this episode
-
-    def reset(self, seed: int | None = None) -> tuple[np.ndarray, dict]:
-        """Start new episodes."""
-        self._observation, info = self.env.reset(seed)
-        self._previous[:] = -1
-        return self._observation, info
+        self.reset = env.reset
 
     def step(self, skill: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
-        """Execute the chosen skills (N,) for ``decision_steps`` control steps."""
-        acting = skill.copy()
-        total = -self.config.switch_cost * ((self._previous >= 0) & (skill != self._previous))
-        terminated, truncated = np.zeros(len(skill), bool), np.zeros(len(skill), bool)
-        ended, info = terminated, {}
-        for j in range(self.config.decision_steps):
-            reward, ends, times_out, latest = self._control_step(acting)
-            # R = sum of gamma^j r_j, up to the first end of an episode
-            total = total + self.gamma**j * reward * ~ended
-            info = keep_rows(info, latest, ended) if ended.any() else latest
-            terminated = terminated | (ends & ~ended)
-            truncated = truncated | (times_out & ~ended)
-            ended = terminated | truncated
-            acting[ended] = self._walk
-        self._previous = np.where(ended, -1, skill)
-        return self._observation, total, terminated, truncated, info
-
-    def _control_step(self, skill: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict]:
-        """Execute skills (N,) for one control step; return reward, terminated, truncated, info."""
+        """Let the chosen skills (N,) act for one control step."""
         wanted = self.hierarchy.labels[self.env.oracle_skill()]
-        action = self.hierarchy.execute(self._observation, skill)
-        self._observation, reward, terminated, truncated, info = self.env.step(action)
+        action = self.hierarchy.execute(self.env.observation, skill)
+        observation, reward, terminated, truncated, info = self.env.step(action)
         if self.reward == "oracle":
             # r = +1 right, -1 wrong: an L1 norm with the same weight for both (section 3.2.2)
             reward = np.where(skill == wanted, 1.0, -1.0) * self.env.config.dt
-        return reward, terminated, truncated, info
-
-
-def keep_rows(before: dict, after: dict, robots: np.ndarray) -> dict:
-    """Return ``after`` with the rows of ``robots`` (N,) bool from ``before``, in nested dicts too."""
-    kept = {}
-    for key, value in after.items():
-        if isinstance(value, dict):
-            kept[key] = keep_rows(before[key], value, robots)
-        else:
-            kept[key] = np.where(robots.reshape(-1, *[1] * (value.ndim - 1)), before[key], value)
-    return kept
+        return observation, reward, terminated, truncated, info
 
 
 @dataclass(frozen=True)
 class SupervisedConfig:
     """Training of the supervised selector (paper section 3.2.3)."""
 
-    dagger_rounds: int = 1
-    """Rounds collected with the learner's own choices after the oracle's; 0 for the paper's."""
-    epochs: int = 6
-    """Passes over the data per round; usual 5 to 30."""
-    batch_size: int = 1024
-    """States per gradient step; usual 256 to 4096."""
-    learning_rate: float = 1e-3
-    """Adam's step size."""
-    hidden: tuple[int, ...] = (128, 128)
-    """132 x 128 x 128 x n in the paper."""
+    dagger_rounds: int = 1  # rounds collected with the learner's own choices after the oracle's; 0 for the paper's
+    epochs: int = 6  # passes over the data per round; usual 5 to 30
+    batch_size: int = 1024  # states per gradient step; usual 256 to 4096
+    learning_rate: float = 1e-3  # adam's step size
+    hidden: tuple[int, ...] = (128, 128)  # 132 x 128 x 128 x n in the paper
 
 
 def visit(env: Go1Env, actor: Hierarchy | Single, num_states: int, action_noise: float = 0.0) -> Iterator[np.ndarray]:
     """Run ``actor`` from new episodes on; yield the observation (N, 184) before each step, for at least ``num_states``."""
     observation, _ = env.reset()
-    actor.reset()
     for _ in range(-(-num_states // env.num_envs)):
         yield observation
         action, _ = actor.act(observation, env)
         if action_noise:
             action = action + action_noise * env.rng.standard_normal(action.shape)
-        observation, _, terminated, truncated, _ = env.step(action)
-        actor.reset(np.flatnonzero(terminated | truncated))
+        observation = env.step(action)[0]
 
 
 def collect_labels(env: Go1Env, actor: Hierarchy, oracle: Hierarchy, num_states: int) -> tuple[np.ndarray, np.ndarray]:
@@ -249,21 +139,24 @@ def collect_labels(env: Go1Env, actor: Hierarchy, oracle: Hierarchy, num_states:
 def fit_selector(
     scandots: np.ndarray, labels: np.ndarray, num_skills: int, config: SupervisedConfig, seed: int
 ) -> tuple[dict[str, np.ndarray], list[float]]:
-    """Minimise the cross-entropy; return the arrays of a checkpoint and the loss of each epoch."""
+    """Minimise the cross-entropy; return the arrays of a checkpoint and the loss of each epoch.
+
+    What is seen mirrored asks for the same skill, so the network is invariant.
+    """
+    from agility_ref.networks import EquivariantMLP, Normalizer, fit
+
     import torch
     from torch import nn
-
-    from agility_ref.networks import Normalizer, fit, mlp
 
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    normalizer = Normalizer(scandots.shape[1], slice(0, scandots.shape[1]), SCANDOT_STD)
-    net = mlp([scandots.shape[1], *config.hidden, num_skills], 0.01)
-    x, y = torch.from_numpy(normalizer(scandots)), torch.from_numpy(labels)
+    normalizer = Normalizer(SCANDOT_MIRROR, slice(0, scandots.shape[1]), SCANDOT_STD)
+    net = EquivariantMLP(SCANDOT_MIRROR, config.hidden, Mirror.identity(num_skills), 0.01)
+    x, y = net.parts(torch.from_numpy(normalizer(scandots))), torch.from_numpy(labels)
     losses = fit(
         net.parameters(), lambda mb: nn.functional.cross_entropy(net(x[mb]), y[mb]),
         len(x), config.epochs, config.batch_size, config.learning_rate, generator,
     )  # fmt: skip
-    arrays = {f"actor.{name}": p.detach().numpy().copy() for name, p in net.named_parameters()}
+    arrays = {f"actor.{name}": array for name, array in net.dense().items()}
     return arrays | {"normalizer.mean": normalizer.mean, "normalizer.var": normalizer.var}, losses

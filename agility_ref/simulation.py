@@ -10,12 +10,28 @@ In:  courses, friction and payload of each, joint targets.
 Out: poses, velocities, contacts and torques, as views of the simulator's memory.
 """
 
+import os
+
+from agility_ref.errors import UserError
+from agility_ref.go1 import PhysicsConfig, make_model
+from agility_ref.terrain import Course
+
 import mujoco
 import numpy as np
 from mujoco import batch
 
-from agility_ref.go1 import PhysicsConfig, make_model
-from agility_ref.terrain import Course
+
+def default_threads() -> int:
+    """Return what AGILITY_REF_THREADS says, for jobs that share a machine; else 0, which MuJoCo takes for all cores.
+
+    Raises
+    ------
+    UserError : the variable holds no number
+    """
+    text = os.environ.get("AGILITY_REF_THREADS", "0")
+    if not text.isdecimal():
+        raise UserError(f"AGILITY_REF_THREADS is a number of threads, not {text!r}")
+    return int(text)
 
 
 def bounding_volumes(tree: mujoco.MjModel, model: mujoco.MjModel) -> np.ndarray:
@@ -44,7 +60,7 @@ class Placement:
     Parameters
     ----------
     simulations : the batch; its own model must be ``models[0]``
-    models : one a course, of equal sizes
+    models : one per course, of equal sizes
     """
 
     def __init__(self, simulations: batch.Batch, models: list[mujoco.MjModel]):
@@ -72,12 +88,12 @@ class Simulation:
 
     Attributes
     ----------
-    models : one compiled model a course
+    models : one compiled model per course
     batch : the simulator
     home : (19,) qpos of the home pose
     qpos, qvel : (N, 19), (N, 18) trunk position, quaternion wxyz and joints; their velocities
     ctrl : (N, 12) joint targets [rad]
-    sensors : (N, 37), see :func:`~agility_ref.go1.make_xml`
+    sensors : (N, 37), see :meth:`columns`
     foot_pos : (N, 4, 3) centres of the feet [m]
     torque : (N, 12) [N m]
     errors : simulations that failed so far
@@ -91,7 +107,7 @@ class Simulation:
         conditions: list[tuple[float, float]],
         num_threads: int = 0,
     ):
-        """Compile one model a course and start the robots on the first, in the home pose.
+        """Compile one model per course and start the robots on the first, in the home pose.
 
         Parameters
         ----------
@@ -99,14 +115,14 @@ class Simulation:
         num_robots : N
         config : simulator and joint controller
         conditions : friction of the ground and payload [kg], for each course
-        num_threads : 0 for all cores; results do not depend on it
+        num_threads : 0 for those of :func:`default_threads`; results do not depend on it
         """
         num_boxes = max(len(course.boxes) for course in courses)
         self.models = [
             make_model(course, config, num_boxes=num_boxes, friction=friction, payload=payload)
             for course, (friction, payload) in zip(courses, conditions, strict=True)
         ]
-        self.batch = batch.Batch(self.models[0], num_robots, num_threads)
+        self.batch = batch.Batch(self.models[0], num_robots, num_threads or default_threads())
         self._placement = Placement(self.batch, self.models)
         self.batch.reset(keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self.home, self._start = self.models[0].key_qpos[0].copy(), self.batch.state[0].copy()
@@ -117,11 +133,21 @@ class Simulation:
         self.torque = self.batch.bind("actuator_force")
         self.errors = 0
 
+    def columns(self, names: tuple[str, ...]) -> np.ndarray:
+        """Return where the named sensors of :func:`~agility_ref.go1.make_xml` stand in ``sensors``."""
+        found = [self.models[0].sensor(name) for name in names]
+        return np.concatenate([sensor.adr + np.arange(sensor.dim[0]) for sensor in found])
+
     def place(self, ids: np.ndarray, course: np.ndarray, qpos: np.ndarray) -> None:
         """Put robots ``ids`` at rest on courses (n,), indices of the models, in poses qpos (n, 19)."""
         self._placement.place(ids, course)
         self.batch.state[ids] = self._start  # no velocity, no warm start of the solver
         self.qpos[ids] = qpos
+
+    def load_state(self, course: np.ndarray, physics: np.ndarray) -> None:
+        """Put all robots on courses (N,) in states ``batch.state`` (N, k) of before."""
+        self._placement.place(np.arange(len(course)), course)
+        self.batch.state[:] = physics
 
     def step(self, num_steps: int) -> np.ndarray:
         """Run physics steps; return which robots' simulations failed, (N,) bool."""

@@ -56,7 +56,7 @@ def bootstrap_interval(
 
     Parameters
     ----------
-    scores : (S, E) one row a training seed, one column an episode that all of them play.  Rows
+    scores : (S, E) one row per training seed, one column per episode that all of them play.  Rows
         and columns are resampled, each as a whole: a hard course is hard for every seed, and
         drawing it anew for each would count one chance several times.  With one seed the
         interval covers the episodes alone.  With few it is too short, for resampling knows

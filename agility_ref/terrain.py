@@ -21,6 +21,7 @@ The dimensions are those of the Extreme Parkour code base that the paper stands 
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -52,10 +53,8 @@ class Box:
     x1: float
     y0: float
     y1: float
-    top: float
-    """Height of the walking surface [m]."""
-    walkable: bool = True
-    """False for the floor of a pit: standing on it is having fallen off."""
+    top: float  # height of the walking surface [m]
+    walkable: bool = True  # false for the floor of a pit: standing on it is having fallen off
 
 
 @dataclass(frozen=True)
@@ -75,8 +74,7 @@ class Course:
     difficulty: float
     boxes: tuple[Box, ...]
     obstacles: tuple[Obstacle, ...]
-    waypoints: np.ndarray
-    """(8, 2) xy of the waypoints [m]."""
+    waypoints: np.ndarray  # (8, 2) xy of the waypoints [m]
 
 
 def snap(length: float) -> float:
@@ -156,21 +154,6 @@ def _terraces(kind: str, levels: tuple[int, ...], d: float, rng: np.random.Gener
     return Course(kind, d, tuple(boxes), tuple(obstacles), np.array(waypoints))
 
 
-def _climb(d: float, rng: np.random.Generator) -> Course:
-    """Up, up, up, level, down, down, drop (the original's 'step')."""
-    return _terraces("climb", (1, 2, 3, 3, 2, 1, 0), d, rng)
-
-
-def _climb_up(d: float, rng: np.random.Generator) -> Course:
-    """Six steps up and a landing."""
-    return _terraces("climb-up", (1, 2, 3, 4, 5, 6, 6), d, rng)
-
-
-def _climb_down(d: float, rng: np.random.Generator) -> Course:
-    """Six steps down and a landing."""
-    return _terraces("climb-down", (-1, -2, -3, -4, -5, -6, -6), d, rng)
-
-
 def islands(kind: str, moves: str, d: float, rng: np.random.Generator) -> Course:
     """Platforms separated, in the order of ``moves``, by gaps (g) and steps up (u) or down (d).
 
@@ -197,16 +180,6 @@ def islands(kind: str, moves: str, d: float, rng: np.random.Generator) -> Course
     return Course(kind, d, tuple(boxes), tuple(obstacles), np.array(waypoints))
 
 
-def _gap(d: float, rng: np.random.Generator) -> Course:
-    """Six gaps across the lane, a pit below each."""
-    return islands("gap", "gggggg", d, rng)
-
-
-def _climb_gap(d: float, rng: np.random.Generator) -> Course:
-    """Blocks climbed up and down, gaps between them: the paper's Climb+Gap."""
-    return islands("climb-gap", "ugudgd", d, rng)
-
-
 def _beam(d: float, rng: np.random.Generator) -> Course:
     """Six beams along the lane between full-width islands, the ground BEAM_DROP below on both sides."""
     half = beam_width(d) / 2
@@ -230,12 +203,12 @@ def _beam(d: float, rng: np.random.Generator) -> Course:
 
 GENERATORS = {
     "walk": _walk,
-    "climb-up": _climb_up,
-    "climb-down": _climb_down,
-    "climb": _climb,
-    "gap": _gap,
+    "climb-up": partial(_terraces, "climb-up", (1, 2, 3, 4, 5, 6, 6)),
+    "climb-down": partial(_terraces, "climb-down", (-1, -2, -3, -4, -5, -6, -6)),
+    "climb": partial(_terraces, "climb", (1, 2, 3, 3, 2, 1, 0)),  # the original's 'step'
+    "gap": partial(islands, "gap", "gggggg"),
     "beam": _beam,
-    "climb-gap": _climb_gap,
+    "climb-gap": partial(islands, "climb-gap", "ugudgd"),  # blocks climbed up and down, gaps between them
 }
 
 

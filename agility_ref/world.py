@@ -5,14 +5,14 @@ courses: heights under the scandots, edges behind "edge violation" (paper Table 
 oracle's skill regions (section 3.2.1, Figure 3), and where a robot counts as fallen.
 
 In:  a list of :class:`~agility_ref.terrain.Course`.
-Out: a :class:`World` of stacked maps, one row a course.
+Out: a :class:`World` of stacked maps, one row per course.
 """
 
 from functools import cached_property
 
-import numpy as np
-
 from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH, SKILLS, Course
+
+import numpy as np
 
 EDGE_MIN_DROP = 0.075  # [m] a box top that drops more than this has an edge there
 EDGE_DISTANCE = 0.05  # [m] a foot in contact within this distance of an edge violates it

@@ -15,6 +15,19 @@ from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
+from agility_ref.curriculum import find_preset
+from agility_ref.env import ACTION_DIM
+from agility_ref.errors import UserError, unknown_name
+from agility_ref.files import write_csv, write_text
+from agility_ref.observation import OBS_DIM
+from agility_ref.pictures.plots import BLUE, new_figure, save_figure, style
+from agility_ref.policy import read_npz, write_npz
+from agility_ref.stats import t_interval
+from agility_ref.training.bank import changed_flags, run_folder
+from agility_ref.training.policies import find_policy, requirements
+from agility_ref.training.progress import versions
+from agility_ref.training.runs import TrainConfig
+
 import numpy as np
 from common import machine, report, start
 from learning import (
@@ -26,17 +39,6 @@ from learning import (
     own_courses,
     tell,
 )
-
-from agility_ref.curriculum import find_preset
-from agility_ref.env import ACTION_DIM
-from agility_ref.errors import UserError, unknown_name
-from agility_ref.pictures.plots import BLUE, new_figure, save_figure, style
-from agility_ref.policy import read_npz, write_npz
-from agility_ref.stats import t_interval
-from agility_ref.training.bank import changed_flags, run_folder
-from agility_ref.training.policies import find_policy, requirements
-from agility_ref.training.progress import versions, write_csv, write_text
-from agility_ref.training.runs import TrainConfig
 
 COLUMNS = ("ablation", "policy", "seed", "steps", "waypoint_fraction", "falls", "level")
 
@@ -65,11 +67,8 @@ ABLATIONS = (
     BASELINE,
     Ablation("from-scratch", "training", train={"warm_start": False}),
     Ablation("no-curriculum", "training", curriculum={"enabled": False}),
-    Ablation("mirror", "training", ppo={"mirror": True}),
     Ablation("command-0.3-0.8", "task and reward", env={"command_low": 0.3, "command_high": 0.8}),  # the original's
     Ablation("command-1.0-1.5", "task and reward", env={"command_low": 1.0, "command_high": 1.5}),
-    Ablation("clip-at-zero", "task and reward", env={"clip_reward_at_zero": True}),
-    Ablation("gait-clock", "task and reward", env={"gait_clock": 2.5}),
     # The joints' reach stays +-1.2 rad.
     Ablation("action-scale-0.2", "action", env={"action_scale": 0.2, "action_limit": 6.0}),
     Ablation("action-scale-0.5", "action", env={"action_scale": 0.5, "action_limit": 2.4}),
@@ -123,7 +122,7 @@ def save(folder: Path, name: str, recipe: TrainConfig, trained: Trained) -> None
     """Write a finished run, DONE last; `agility-ref watch --runs` plays it."""
     meta = {
         "policy": name, "preset": recipe.preset, "seed": recipe.seed, "steps": trained.steps,
-        "courses": find_policy(name).courses, "act_dim": ACTION_DIM, "obs_dim": recipe.env.obs_dim,
+        "courses": find_policy(name).courses, "act_dim": ACTION_DIM, "obs_dim": OBS_DIM,
         "versions": versions(), "wall_seconds": trained.seconds, "config": asdict(recipe),
     }  # fmt: skip
     write_npz(folder / "policy.npz", trained.arrays, meta)

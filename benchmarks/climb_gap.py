@@ -10,10 +10,6 @@ alone are then given unbounded sight.
 
 from dataclasses import asdict, dataclass, replace
 
-import numpy as np
-from common import machine, report, start
-from learning import tell
-
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.evaluate import EvaluationConfig, check_evaluation, in_first_episode, rollout, waypoint_fraction
 from agility_ref.selector import Hierarchy
@@ -23,6 +19,10 @@ from agility_ref.training.bank import load_policy
 from agility_ref.training.policies import find_policy
 from agility_ref.training.runs import TrainConfig
 from agility_ref.world import World
+
+import numpy as np
+from common import machine, report, start
+from learning import tell
 
 CLIMB_GAP = "ugudgd"
 LAYOUTS = ("uuuuuu", "uududd", "ududud", "gggggg", "udgudg", "gudgud", CLIMB_GAP)

@@ -22,11 +22,6 @@ from types import ModuleType
 from agility_ref.env import EnvConfig, Go1Env
 
 # isort: split
-import mujoco
-import numpy as np
-import tyro
-from mujoco import batch
-
 from agility_ref.curriculum import PRESETS, Curriculum, CurriculumConfig, training_world
 from agility_ref.env import TRAINING
 from agility_ref.errors import UserError
@@ -35,6 +30,11 @@ from agility_ref.simulation import Placement
 from agility_ref.terrain import CELL, COURSE_KINDS, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, Box, Course, make_course
 from agility_ref.training.progress import processor
 from agility_ref.world import height_map
+
+import mujoco
+import numpy as np
+import tyro
+from mujoco import batch
 
 # ---------------------------------------------------------------------------- time
 
@@ -316,9 +316,11 @@ class Taped:
         return seconds
 
 
-def walk_training(seed: int, num_envs: int, config: EnvConfig = TRAINING) -> tuple[Go1Env, Curriculum]:
+def walk_training(
+    seed: int, num_envs: int, config: EnvConfig = TRAINING, autoreset: bool = True
+) -> tuple[Go1Env, Curriculum]:
     """Build what ``agility-ref train walk --preset quick`` trains on."""
     levels = CurriculumConfig()
     world = training_world(("walk",), levels, PRESETS["quick"].max_difficulty, seed)
     curriculum = Curriculum(1, num_envs, levels, seed)
-    return Go1Env(world, num_envs, config, curriculum.next_course, seed), curriculum
+    return Go1Env(world, num_envs, config, curriculum.next_course, seed, autoreset=autoreset), curriculum

@@ -9,6 +9,11 @@ same robots at the same places of every terrain.
 
 from dataclasses import asdict, dataclass
 
+from agility_ref.env import EnvConfig, Go1Env
+from agility_ref.go1 import DEFAULT_DOF_POS
+from agility_ref.policy import Policy
+from agility_ref.world import World
+
 import numpy as np
 from common import (
     Taped,
@@ -25,11 +30,6 @@ from common import (
     start,
     trot,
 )
-
-from agility_ref.env import EnvConfig, Go1Env
-from agility_ref.go1 import DEFAULT_DOF_POS
-from agility_ref.policy import Policy
-from agility_ref.world import World
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
+from agility_ref.errors import UserError
+from agility_ref.evaluate import METRICS
+
 import numpy as np
 from common import machine, report, start
 from tyro.conf import Positional
-
-from agility_ref.errors import UserError
-from agility_ref.evaluate import METRICS
 
 
 @dataclass(frozen=True)

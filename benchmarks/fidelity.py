@@ -16,11 +16,6 @@ from pathlib import Path
 from typing import Annotated
 from unittest.mock import patch
 
-import numpy as np
-from common import machine, report, start, substitute
-from physics import Candidate, candidates
-from tyro.conf import Positional
-
 from agility_ref import go1
 from agility_ref.env import TRAINING, EnvConfig
 from agility_ref.errors import UserError
@@ -33,6 +28,11 @@ from agility_ref.selector import Single
 from agility_ref.stats import bootstrap_interval, paired_difference, wilson_interval
 from agility_ref.training.bank import run_folder
 from agility_ref.training.runs import TrainConfig, train_policy
+
+import numpy as np
+from common import machine, report, start, substitute
+from physics import Candidate, candidates
+from tyro.conf import Positional
 
 
 @dataclass(frozen=True)

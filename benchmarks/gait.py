@@ -9,15 +9,15 @@ anything but a foot touches the ground.  tests/pictures/test_gait.py holds the s
 
 from dataclasses import asdict, dataclass
 
-import numpy as np
-import tyro
-from common import machine, report, start
-
 from agility_ref.evaluate import EvaluationConfig
 from agility_ref.pictures.gait import measure
 from agility_ref.pictures.record import record
 from agility_ref.training.bank import load_policy
 from agility_ref.training.runs import TrainConfig
+
+import numpy as np
+import tyro
+from common import machine, report, start
 
 
 @dataclass(frozen=True)

@@ -14,18 +14,19 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from agility_ref.env import ACTION_DIM, EnvConfig
+from agility_ref.env import EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluate
-from agility_ref.observation import SCANDOTS
+from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOTS
 from agility_ref.pictures.plots import band, new_figure, style
 from agility_ref.policy import Policy
 from agility_ref.ppo import Learner, train
 from agility_ref.selector import Single
 from agility_ref.training.policies import find_policy, requirements
 from agility_ref.training.runs import TrainConfig, make_env
+from agility_ref.training.state import learner_state, policy_arrays, warm_start
+
+import numpy as np
 
 CURVE_COLUMNS = ("steps", "seconds", "waypoint_fraction", "falls", "level")
 Judge = Callable[[Policy], dict[str, float]]
@@ -37,7 +38,7 @@ class Trained:
     """A policy in or after training, from which another may start."""
 
     arrays: dict[str, np.ndarray]
-    """Network and normaliser."""
+    """What acts, and what going on takes."""
     steps: int
     """Environment steps, warm start included."""
     seconds: float
@@ -100,24 +101,27 @@ def learn(
     UserError : nothing is left to train after the warm start
     """
     env, curriculum = make_env(find_policy(name), config)
-    learner = Learner.create(config.env.obs_dim, ACTION_DIM, config.ppo, config.seed, fixed=SCANDOTS)
+    learner = Learner.create(OBS_MIRROR, ACTION_MIRROR, config.ppo, config.seed, fixed=SCANDOTS)
     seconds, curve = 0.0, []
     if start is not None:
-        learner.warm_start(start.arrays, start.steps, config.warm_std)
+        warm_start(learner, start.arrays, start.steps, config.warm_std)
         seconds = start.seconds
     if learner.steps >= total:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
 
+    def trained() -> Trained:
+        return Trained(policy_arrays(learner) | learner_state(learner), learner.steps, seconds, curve)
+
     def evaluated() -> bool:
         """Note how the policy does now; say whether the goal is reached."""
-        level = curriculum.mean_level() if config.curriculum.enabled else None
-        figures = judge(Policy.from_arrays(learner.arrays(), {"policy": name}))
+        level = float(curriculum.levels().mean()) if config.curriculum.enabled else None
+        figures = judge(Policy.from_arrays(policy_arrays(learner), {"policy": name}))
         curve.append({"steps": learner.steps, "seconds": seconds, **figures, "level": level})
         return figures["waypoint_fraction"] >= goal
 
     following = learner.steps + every if judge else math.inf
     if judge and evaluated():
-        return Trained(learner.arrays(), learner.steps, seconds, curve)
+        return trained()
     clock = time.perf_counter()
     for record in train(env, learner, total):
         if record["steps"] >= following or (judge and record["steps"] >= total):
@@ -128,7 +132,7 @@ def learn(
             clock = time.perf_counter()
     else:
         seconds += time.perf_counter() - clock
-    return Trained(learner.arrays(), learner.steps, seconds, curve)
+    return trained()
 
 
 def learn_from_scratch(name: str, config: TrainConfig, total: int, judge: Judge, every: int, goal: float) -> Trained:

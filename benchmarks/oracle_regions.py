@@ -11,9 +11,6 @@ say what the choice is worth: a difference measured where it was picked would fl
 from dataclasses import asdict, dataclass
 from unittest.mock import patch
 
-import numpy as np
-from common import machine, report, start
-
 from agility_ref import world
 from agility_ref.curriculum import CurriculumConfig, find_preset, training_world
 from agility_ref.env import Go1Env
@@ -23,6 +20,9 @@ from agility_ref.stats import paired_difference
 from agility_ref.terrain import NUM_WAYPOINTS
 from agility_ref.training.bank import load_policy
 from agility_ref.training.runs import TrainConfig
+
+import numpy as np
+from common import machine, report, start
 
 KINDS = {  # skill -> the courses that need it
     "climb-up": ("climb-up", "climb", "climb-gap"),
@@ -64,7 +64,7 @@ def courses_for(skill: str, config: Config) -> world.World:
     return world.World([course for course in built.courses if course.difficulty >= 0])
 
 
-def play(oracle: Hierarchy, courses: world.World, skill: str, lead: float, tail: float, seed: int) -> np.ndarray:
+def play_region(oracle: Hierarchy, courses: world.World, skill: str, lead: float, tail: float, seed: int) -> np.ndarray:
     """Play one episode a course with the skill's region moved; return the waypoint fractions (N,)."""
     with patch.dict(world.LEAD, {skill: lead}), patch.dict(world.TAIL, {skill: tail}):
         courses.regions = np.stack([world.region_map(course) for course in courses.courses])
@@ -77,7 +77,9 @@ def choose(oracle: Hierarchy, skill: str, config: Config) -> dict:
     courses = courses_for(skill, config)
     present = world.LEAD[skill], world.TAIL[skill]
     leads, tails = (sorted({*tried, now}) for tried, now in zip((config.leads, config.tails), present, strict=True))
-    scores = {(lead, tail): play(oracle, courses, skill, lead, tail, config.seed) for lead in leads for tail in tails}
+    scores = {
+        (lead, tail): play_region(oracle, courses, skill, lead, tail, config.seed) for lead in leads for tail in tails
+    }
     chooses, judges = np.s_[::2], np.s_[1::2]
     best = max(scores, key=lambda region: scores[region][chooses].mean())
     mean, low, high = paired_difference(scores[best][judges], scores[present][judges])

@@ -11,6 +11,10 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 
+from agility_ref.go1 import PhysicsConfig, make_xml
+from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH, Course
+from agility_ref.world import height_map
+
 import mujoco
 import numpy as np
 from common import (
@@ -26,10 +30,6 @@ from common import (
     start,
     substitute,
 )
-
-from agility_ref.go1 import PhysicsConfig, make_xml
-from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH, Course
-from agility_ref.world import height_map
 
 CHOSEN = PhysicsConfig()
 

@@ -11,10 +11,6 @@ the second to the third is the price of being struck in the air.
 
 from dataclasses import asdict, dataclass
 
-import numpy as np
-from common import machine, report, start
-from learning import check_skill, tell
-
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.evaluate import (
     EvaluationConfig,
@@ -30,6 +26,10 @@ from agility_ref.stats import paired_difference
 from agility_ref.training.bank import load_policy
 from agility_ref.training.policies import find_policy
 from agility_ref.training.runs import TrainConfig
+
+import numpy as np
+from common import machine, report, start
+from learning import check_skill, tell
 
 PUSHES = {"none": 0.0, "on the ground": EnvConfig().push_interval, "anywhere": EnvConfig().push_interval}
 

@@ -9,12 +9,12 @@ of a sweep are not alternated: on a busy machine trust the ratios of the other s
 import time
 from dataclasses import asdict, dataclass
 
-import numpy as np
-from common import available_cores, in_fresh_process, machine, mixed_courses, peak_memory, report, start, trot
-
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS
 from agility_ref.world import World
+
+import numpy as np
+from common import available_cores, in_fresh_process, machine, mixed_courses, peak_memory, report, start, trot
 
 
 @dataclass(frozen=True)

@@ -12,22 +12,22 @@ import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
-from common import machine, report, start
-from learning import check_skill, tell
-
 from agility_ref.curriculum import find_preset
 from agility_ref.env import EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import Evaluation, EvaluationConfig, evaluate, evaluation_world
+from agility_ref.files import write_csv
 from agility_ref.policy import Policy
 from agility_ref.results.table1 import seeds_with_weights
 from agility_ref.selector import Single
 from agility_ref.stats import paired_difference
 from agility_ref.training.bank import load_skill, weights_path
 from agility_ref.training.policies import POLICIES, find_policy
-from agility_ref.training.progress import write_csv
 from agility_ref.training.runs import TrainConfig
+
+import numpy as np
+from common import machine, report, start
+from learning import check_skill, tell
 
 SKILLS = tuple(name for name, spec in POLICIES.items() if spec.method == "ppo")
 SPECIALISTS = {POLICIES[name].courses[0]: name for name in SKILLS if len(POLICIES[name].courses) == 1}

@@ -11,6 +11,13 @@ threshold; the curves go into ``time-to-<policy>-<preset>.csv``, ``.png`` and ``
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from agility_ref.curriculum import find_preset
+from agility_ref.errors import UserError
+from agility_ref.files import write_csv
+from agility_ref.pictures.plots import BLUE, GREY, save_figure, style
+from agility_ref.training.policies import find_policy
+from agility_ref.training.runs import TrainConfig
+
 import numpy as np
 import tyro
 from common import machine, report, start
@@ -24,13 +31,6 @@ from learning import (
     own_courses,
     tell,
 )
-
-from agility_ref.curriculum import find_preset
-from agility_ref.errors import UserError
-from agility_ref.pictures.plots import BLUE, GREY, save_figure, style
-from agility_ref.training.policies import find_policy
-from agility_ref.training.progress import write_csv
-from agility_ref.training.runs import TrainConfig
 
 
 @dataclass(frozen=True)

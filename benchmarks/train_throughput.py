@@ -9,14 +9,16 @@ Every variant learns on the same robots in turn.  One iteration is ``collect`` a
 import time
 from dataclasses import asdict, dataclass, replace
 
+from agility_ref.env import Go1Env
+from agility_ref.networks import sample
+from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOTS
+from agility_ref.policy import Policy
+from agility_ref.ppo import Learner, PPOConfig, collect, train, update
+from agility_ref.training.state import policy_arrays
+
 import numpy as np
 import torch
 from common import Taped, alternate, available_cores, machine, ratio, report, show, start, walk_training
-
-from agility_ref.env import ACTION_DIM, Go1Env
-from agility_ref.observation import OBS_DIM, SCANDOTS
-from agility_ref.policy import Policy
-from agility_ref.ppo import Learner, PPOConfig, collect, train, update
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Variant:
     """... and during update."""
 
     def __post_init__(self):
-        self.learner = Learner.create(OBS_DIM, ACTION_DIM, self.ppo, seed=0, fixed=SCANDOTS)
+        self.learner = Learner.create(OBS_MIRROR, ACTION_MIRROR, self.ppo, seed=0, fixed=SCANDOTS)
         self.collect_seconds, self.update_seconds, self.bare_seconds = [], [], []
 
     def iterate(self, env: Taped, observation: np.ndarray) -> np.ndarray:
@@ -87,7 +89,7 @@ def default_torch_threads() -> tuple[int, int]:
         return Go1Env.step(env, action)
 
     env.step = step
-    iterations = train(env, Learner.create(OBS_DIM, ACTION_DIM, ppo, 0), 10)
+    iterations = train(env, Learner.create(OBS_MIRROR, ACTION_MIRROR, ppo, 0), 10)
     next(iterations)
     return seen[-1], torch.get_num_threads()
 
@@ -117,15 +119,15 @@ def variants(only_default: bool) -> list[Variant]:
 
 def inference(learner: Learner, observation: np.ndarray, rounds: int) -> dict:
     """Compare torch with plain numpy for the policy step of a rollout."""
-    policy = Policy.from_arrays(learner.arrays(), {})
+    policy = Policy.from_arrays(policy_arrays(learner), {})
 
     @torch.inference_mode()
     def in_torch() -> None:
         for _ in range(20):
-            obs = torch.from_numpy(learner.normalizer(observation))
-            learner.distribution.sample(learner.distribution.parameters(learner.net, obs), learner.generator)
+            mean = learner.net.actor(learner.observe(observation))
+            sample(learner.net.distribution(mean, learner.net.std()), learner.generator)
 
-    std, rng = np.exp(learner.net.log_std.detach().numpy()), np.random.default_rng(0)
+    std, rng = learner.net.std().detach().numpy(), np.random.default_rng(0)
 
     def in_numpy() -> None:
         for _ in range(20):

@@ -11,6 +11,10 @@ process: 256 of its robots take more than 10 GB.
 import time
 from dataclasses import asdict, dataclass
 
+from agility_ref.env import EnvConfig, Go1Env
+from agility_ref.go1 import DEFAULT_DOF_POS, PhysicsConfig
+from agility_ref.world import World
+
 import numpy as np
 from common import (
     alternate,
@@ -26,10 +30,6 @@ from common import (
     start,
     trot,
 )
-
-from agility_ref.env import EnvConfig, Go1Env
-from agility_ref.go1 import DEFAULT_DOF_POS, PhysicsConfig
-from agility_ref.world import World
 
 TASKS = {"flat": "Go1JoystickFlatTerrain-v1", "rough": "Go1JoystickRoughTerrain-v1"}
 

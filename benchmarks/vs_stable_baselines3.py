@@ -11,20 +11,21 @@ a schedule for the exploration noise.  They take turns, a few iterations each, a
 own clock.
 """
 
+import sys
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from itertools import islice
+from pathlib import Path
+
+from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOTS
+from agility_ref.ppo import Learner, PPOConfig, train
+from agility_ref.terrain import NUM_WAYPOINTS
 
 import numpy as np
 import torch
 from common import available_cores, machine, report, require, start, walk_training
-
-from agility_ref.env import ACTION_DIM, Go1Env
-from agility_ref.observation import OBS_DIM, SCANDOTS
-from agility_ref.ppo import Learner, PPOConfig, train
-from agility_ref.terrain import NUM_WAYPOINTS
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ def our_turns(race: Race, config: Config) -> Callable[[], None]:
     """Return a function that trains ours for one turn."""
     ppo = replace(PPOConfig(), final_std=PPOConfig().init_std, anneal_share=0.0)
     env, _ = walk_training(config.seed, ppo.num_envs)
-    learner = Learner.create(OBS_DIM, ACTION_DIM, ppo, config.seed, fixed=SCANDOTS)
+    learner = Learner.create(OBS_MIRROR, ACTION_MIRROR, ppo, config.seed, fixed=SCANDOTS)
     iterations = train(env, learner, config.steps)
 
     def turn() -> None:
@@ -89,66 +90,22 @@ def our_turns(race: Race, config: Config) -> Callable[[], None]:
     return turn
 
 
-def adapter(env: Go1Env, episodes: deque, seed: int) -> object:
-    """Wrap Go1Env as a Stable-Baselines3 VecEnv: it resets in the same step, so does that."""
-    from gymnasium.spaces import Box
-    from stable_baselines3.common.vec_env import VecEnv
-
-    class Go1VecEnv(VecEnv):
-        def __init__(self):
-            super().__init__(
-                env.num_envs,
-                Box(-np.inf, np.inf, (OBS_DIM,), np.float32),
-                Box(-env.config.action_limit, env.config.action_limit, (ACTION_DIM,), np.float32),
-            )
-
-        def reset(self):
-            return env.reset(seed)[0]
-
-        def step_async(self, actions):
-            self.actions = actions
-
-        def step_wait(self):
-            observation, reward, terminated, truncated, info = env.step(self.actions)
-            done = terminated | truncated
-            infos: list[dict] = [{} for _ in range(env.num_envs)]
-            for i in np.flatnonzero(done):
-                infos[i] = {
-                    "terminal_observation": info["final_observation"][i],
-                    "TimeLimit.truncated": bool(truncated[i]),
-                }
-                episodes.append(info["episode"]["waypoints"][i] / NUM_WAYPOINTS)
-            return observation, reward, done, infos
-
-        def close(self):
-            pass
-
-        def get_attr(self, name, indices=None):
-            return [getattr(env, name, None)] * env.num_envs
-
-        def set_attr(self, name, value, indices=None):
-            raise NotImplementedError
-
-        def env_method(self, name, *args, indices=None, **kwargs):
-            raise NotImplementedError
-
-        def env_is_wrapped(self, wrapper_class, indices=None):
-            return [False] * env.num_envs
-
-    return Go1VecEnv()
-
-
 def their_turns(race: Race, config: Config) -> Callable[[], None]:
     """Return a function that trains Stable-Baselines3 for one turn."""
+    sys.path.append(str(Path(__file__).parent.parent / "examples"))
+    from agility_ref.gym import Go1VectorEnv
+
+    from sb3_ppo import Go1VecEnv, Progress
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecNormalize
 
     ppo = PPOConfig()
-    env, _ = walk_training(config.seed, ppo.num_envs)
-    hidden = list(ppo.hidden)
+    envs = Go1VectorEnv("walk", ppo.num_envs, courses=1, autoreset_mode="SameStep")
+    envs.go1, _ = walk_training(config.seed, ppo.num_envs, autoreset=False)  # our courses and curriculum
+    hidden, progress = list(ppo.hidden), Progress(every=0)
     model = PPO(
         "MlpPolicy",
-        VecNormalize(adapter(env, race.episodes, config.seed), norm_reward=False, clip_obs=5.0),
+        VecNormalize(Go1VecEnv(envs), norm_reward=False, clip_obs=5.0),
         learning_rate=config.learning_rate,
         n_steps=ppo.num_steps,
         batch_size=ppo.batch_size // ppo.num_minibatches,
@@ -162,14 +119,16 @@ def their_turns(race: Race, config: Config) -> Callable[[], None]:
         policy_kwargs={
             "net_arch": {"pi": hidden, "vf": hidden},
             "activation_fn": torch.nn.ELU,
-            "log_std_init": float(np.log(ppo.init_std)),
+            "log_std_init": float(np.log(ppo.init_std / envs.go1.config.action_limit)),
         },
         seed=config.seed,
         device="cpu",
     )
 
     def turn() -> None:
-        model.learn(config.turn * ppo.batch_size, reset_num_timesteps=False)
+        model.learn(config.turn * ppo.batch_size, progress, reset_num_timesteps=False)
+        race.episodes.extend(progress.waypoints)
+        progress.waypoints.clear()
         race.steps = model.num_timesteps
 
     return turn

@@ -1,11 +1,14 @@
+import configparser
+import importlib.util
+import pydoc
 import re
 from pathlib import Path
 
-import pytest
-from test_layout import CORE
-
 from agility_ref.observation import OBSERVATION, observation_slices
 from agility_ref.rewards import TERMS, RewardConfig
+
+import pytest
+from test_layout import CORE
 
 ROOT = Path(__file__).parent.parent
 PAGES = ["README.md", "benchmarks/README.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))]
@@ -44,3 +47,44 @@ def test_tables_are_whole(page):
 def test_the_reading_order_is_the_core():
     names = re.findall(r"^\| `(\w+)\.py` \|", (ROOT / "README.md").read_text(), re.M)
     assert tuple(names) == CORE
+
+
+def test_tables_made_from_files_are_up_to_date():
+    """Else: python docs/tables.py"""
+    spec = importlib.util.spec_from_file_location("tables", ROOT / "docs" / "tables.py")
+    tables = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tables)
+    for page, mark, make in tables.TABLES:
+        text, table = (ROOT / page).read_text(), make()
+        assert table in text and tables.with_table(text, mark, table) == text, (page, mark)
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+
+
+def test_every_extra_has_its_line():
+    setup = configparser.ConfigParser()
+    setup.read(ROOT / "setup.cfg")
+    table = (ROOT / "docs" / "installation.md").read_text().partition("<!-- extras:begin")[2]
+    assert set(setup["options.extras_require"]) <= set(re.findall(r"^\| `(\w+)` \|", table, re.M))
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_names_of_the_package_that_the_pages_quote_exist(page):
+    for name in re.findall(r"`(agility_ref\.[\w.]+)`", (ROOT / page).read_text()):
+        assert pydoc.locate(name) is not None, f"{page} names {name}"
+
+
+def test_a_link_that_leads_nowhere_is_found(tmp_path):
+    spec = importlib.util.spec_from_file_location("links", ROOT / "docs" / "links.py")
+    links = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(links)
+    (tmp_path / "b.html").write_text("<p id='here'></p>")
+    (tmp_path / "a.html").write_text(
+        "<a href='b.html#here'></a><a href='b.html#there'></a><a href='c.html'></a><img src='d.png'>"
+        "<a href='#nowhere'></a><a href='https://example.org/x'></a>"
+    )
+    assert links.broken_links(tmp_path) == [
+        f"a.html links to {target}" for target in ("#nowhere", "b.html#there", "c.html", "d.png")
+    ]

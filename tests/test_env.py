@@ -1,9 +1,7 @@
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from agility_ref.env import ACTION_DIM, TRAINING, EnvConfig, Go1Env
+from agility_ref.errors import UserError
 from agility_ref.go1 import DEFAULT_DOF_POS, STAND_HEIGHT
 from agility_ref.observation import (
     NUM_SCANDOTS,
@@ -19,6 +17,9 @@ from agility_ref.observation import (
 from agility_ref.rewards import compute_reward
 from agility_ref.terrain import CELL, COURSE_KINDS, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, make_course
 from agility_ref.world import World
+
+import numpy as np
+import pytest
 
 CLEAN = EnvConfig().clean()
 SLICES = observation_slices()
@@ -67,9 +68,10 @@ def test_shapes_and_types(played):
     assert first.dtype == obs.dtype == np.float32
     assert reward.shape == terminated.shape == truncated.shape == (40, 4)
     assert terminated.dtype == truncated.dtype == bool
-    assert infos[0]["final_observation"].shape == (4, OBS_DIM)
-    assert all(value.shape == (4,) for value in infos[0]["episode"].values())
-    assert infos[0]["feet_on_edge"].shape == (4,)
+    assert infos[0]["final_obs"].shape == (4, OBS_DIM)
+    assert all(value.shape == (4,) for value in infos[0]["totals"].values())
+    assert infos[0]["feet_on_edge"].shape == (4,) and infos[0]["kind"].shape == (4,)
+    assert set(infos[0]["totals"]) == {"reward", "length", "waypoints", "edge"}
 
 
 def test_all_is_finite(played):
@@ -83,17 +85,6 @@ def test_no_observation_element_is_constant(kind):
     obs, *_ = rollout(make_env(kind, n=6), random_actions(60, 6, scale=2.0))
     constant = np.ptp(obs.reshape(-1, OBS_DIM), axis=0) == 0
     assert not constant.any(), np.flatnonzero(constant)
-
-
-def test_gait_clock_ends_the_observation():
-    # 2.5 Hz at 50 Hz control: 20 steps a turn, so after t steps the phase is 18 t degrees.
-    env = make_env(n=2, config=replace(CLEAN, gait_clock=2.5))
-    obs, _ = env.reset(0)
-    assert obs.shape == (2, OBS_DIM + 2) and env.config.obs_dim == OBS_DIM + 2
-    np.testing.assert_allclose(obs[:, OBS_DIM:], [[0, 1]] * 2, atol=1e-6)
-    for _ in range(5):
-        obs, *_ = env.step(still(env))
-    np.testing.assert_allclose(obs[:, OBS_DIM:], [[1, 0]] * 2, atol=1e-6)
 
 
 def test_observations_do_not_share_memory():
@@ -110,11 +101,11 @@ def test_observations_do_not_share_memory():
 def test_infos_do_not_change_later():
     env = make_env(n=2)
     _, reward, _, _, info = env.step(still(env))
-    kept = {name: value.copy() for name, value in info["episode"].items()}, reward.copy()
+    kept = {name: value.copy() for name, value in info["totals"].items()}, reward.copy()
     for action in random_actions(5, 2):
         env.step(action)
     for name, value in kept[0].items():
-        np.testing.assert_array_equal(info["episode"][name], value)
+        np.testing.assert_array_equal(info["totals"][name], value)
     np.testing.assert_array_equal(reward, kept[1])
 
 
@@ -147,17 +138,10 @@ def test_other_seed_other_start():
 
 @pytest.mark.parametrize("config", [EnvConfig(), CLEAN])
 def test_reward_is_the_sum_of_its_terms_exactly(config):
-    env = make_env(config=replace(config, clip_reward_at_zero=False))
+    env = make_env(config=config)
     for action in random_actions(50, 4):
         _, reward, _, _, info = env.step(action)
         np.testing.assert_array_equal(reward, sum(info["reward_terms"].values()))
-
-
-def test_clipped_reward_is_never_negative():
-    env = make_env(config=replace(CLEAN, clip_reward_at_zero=True))
-    for action in random_actions(20, 4, scale=4.0):
-        _, reward, _, _, info = env.step(action)
-        np.testing.assert_array_equal(reward, np.maximum(sum(info["reward_terms"].values()), 0.0))
 
 
 def test_models_of_a_world_have_equal_sizes():
@@ -183,13 +167,13 @@ def test_action_that_is_not_finite_is_refused(bad):
     env = make_env()
     action = still(env)
     action[2, 5] = bad
-    with pytest.raises(ValueError, match="1 entries"):
+    with pytest.raises(UserError, match="1 entries"):
         env.step(action)
 
 
 def test_a_refused_action_changes_nothing():
     a, b = make_env(), make_env()
-    with pytest.raises(ValueError):
+    with pytest.raises(UserError):
         a.step(np.full((4, ACTION_DIM), np.nan))
     np.testing.assert_array_equal(a.step(still(a))[0], b.step(still(b))[0])
 
@@ -292,7 +276,7 @@ def test_scandots_against_a_loop_over_boxes(kind):
 
     env.simulation.step = note_pose
     *_, info = env.step(still(env))
-    observed = info["final_observation"][:, SCANDOTS].reshape(6, len(SCANDOT_X), len(SCANDOT_Y))
+    observed = info["final_obs"][:, SCANDOTS].reshape(6, len(SCANDOT_X), len(SCANDOT_Y))
     checked = 0
     for robot in range(6):
         x, y, z = poses[-1][robot, :3]
@@ -330,7 +314,7 @@ def test_noise_does_not_depend_on_the_actions():
             for env in envs:
                 stand(env, 0, 1.0, 5.0)  # one robot falls and starts again
         a, b = (rollout(env, actions)[4] for env in envs)
-        difference.append([x["final_observation"] - y["final_observation"] for x, y in zip(a, b, strict=True)])
+        difference.append([x["final_obs"] - y["final_obs"] for x, y in zip(a, b, strict=True)])
     np.testing.assert_allclose(difference[0], difference[1], atol=1e-4)
     assert np.abs(difference[0]).max() > 0.1
 
@@ -392,8 +376,8 @@ def test_time_limit_truncates_and_resets_in_the_same_step():
     for k, action in enumerate(actions):
         obs, _, terminated, truncated, info = env.step(action)
         assert truncated.all() == (k == 4) and not terminated.any()
-    assert (info["episode"]["length"] == 5).all()
-    final = info["final_observation"]
+    assert (info["totals"]["length"] == 5).all()
+    final = info["final_obs"]
     np.testing.assert_array_equal(final[:, SLICES["last_action"]], actions[-1].astype(np.float32))
     np.testing.assert_array_equal(obs[:, SLICES["last_action"]], 0.0)
     assert np.abs(final[:, SLICES["dof_vel"]]).max() > 0.1
@@ -405,8 +389,45 @@ def test_final_observation_equals_the_observation_elsewhere():
     stand(env, 2, 1.0, 5.0)  # one robot beside the lane
     obs, _, terminated, _, info = env.step(still(env))
     np.testing.assert_array_equal(terminated, np.arange(6) == 2)
-    same = (obs == info["final_observation"]).all(axis=1)
+    same = (obs == info["final_obs"]).all(axis=1)
     np.testing.assert_array_equal(same, ~terminated)
+
+
+def test_a_masked_reset_leaves_the_other_robots_alone():
+    env, twin = (make_env("walk", seed=5) for _ in range(2))
+    for action in random_actions(20, 4):
+        env.step(action)
+        twin.step(action)
+    mask = np.array([False, True, False, True])
+    before = env._qpos.copy(), env._step_count.copy()
+    obs, info = env.reset(mask=mask)
+    np.testing.assert_array_equal(env._qpos[~mask], before[0][~mask])
+    np.testing.assert_array_equal(env._step_count, np.where(mask, 0, before[1]))
+    assert (np.abs(env._qpos[mask, 0] - 1.0) <= CLEAN.start_noise).all() and info == {}
+    np.testing.assert_array_equal(obs[mask, SLICES["last_action"]], 0.0)
+    after, expected = env.step(still(env))[0], twin.step(still(env))[0]
+    np.testing.assert_array_equal(after[~mask], expected[~mask])
+    assert (after[mask] != expected[mask]).any(axis=1).all()
+
+
+def test_without_autoreset_a_finished_robot_waits_for_its_reset():
+    env = make_env("walk", config=replace(CLEAN, episode_seconds=0.1), autoreset=False)
+    for action in random_actions(5, 4):
+        obs, _, _, truncated, info = env.step(action)
+    assert truncated.all()
+    np.testing.assert_array_equal(obs, info["final_obs"])
+    np.testing.assert_array_equal(obs[:, SLICES["last_action"]], action.astype(np.float32))
+    env.reset(mask=truncated)
+    assert not env.step(still(env))[3].any()
+
+
+def test_a_masked_reset_tells_how_far_the_episodes_came():
+    env, told = make_env("walk"), []
+    env.next_course = lambda ids, fraction: told.append((ids.tolist(), fraction)) or np.zeros(len(ids), int)
+    env.waypoint_index[:] = [2, 4, 6, 8]
+    env.reset(mask=np.array([False, True, False, True]))
+    ((ids, fraction),) = told
+    assert ids == [1, 3] and fraction.tolist() == [0.5, 1.0]
 
 
 def test_action_repeat_keeps_the_time_limit():
@@ -423,10 +444,10 @@ def test_episode_sums_are_those_of_the_steps():
     for action in random_actions(5, 4):
         _, reward, _, _, info = env.step(action)
         total += reward
-        np.testing.assert_allclose(info["episode"]["reward"], total, rtol=1e-12)
+        np.testing.assert_allclose(info["totals"]["reward"], total, rtol=1e-12)
     _, reward, _, _, info = env.step(still(env))  # a new episode
-    np.testing.assert_array_equal(info["episode"]["reward"], reward)
-    assert (info["episode"]["length"] == 1).all()
+    np.testing.assert_array_equal(info["totals"]["reward"], reward)
+    assert (info["totals"]["length"] == 1).all()
 
 
 def test_stalling_terminates_in_training_only():
@@ -491,6 +512,33 @@ def test_reset_follows_next_course():
     assert (env.course == 1).all()
 
 
+def test_infos_name_the_kind_of_course_that_was_played():
+    world = World([make_course(kind, 0.5, 0) for kind in ("gap", "climb", "gap")])
+    assert list(world.kinds) == ["gap", "climb", "gap"]
+    env = Go1Env(world, 3, CLEAN, lambda ids, fraction: ids if fraction is None else np.ones(len(ids), int))
+    stand(env, 0, 1.0, 5.0)  # falls, and goes on on the climb
+    kinds = [env.step(still(env))[4]["kind"] for _ in range(2)]
+    for kind in kinds:
+        assert kind[1] != kind[2]
+    assert kinds[0][0] == kinds[0][2] and kinds[1][0] == kinds[1][1]
+
+
+@pytest.mark.parametrize("change, message", [
+    ({"action_repeat": 0}, "action-repeat must be a number of at least 1, not 0"),
+    ({"scandot_period": 0}, "scandot-period must be a number of at least 1, not 0"),
+    ({"episode_seconds": 0.0}, "episode-seconds must be a number of at least 0.0001, not 0.0"),
+    ({"noise": -0.5}, "noise must be a number of at least 0, not -0.5"),
+    ({"noise": np.nan}, "noise must be a number of at least 0, not nan"),
+    ({"push_interval": np.inf}, "push-interval must be a number of at least 0, not inf"),
+    ({"command_low": 0.9, "command_high": 0.8}, "command-high must be a number of at least 0.9, not 0.8"),
+    ({"friction_low": 0.7, "friction_high": 0.6}, "friction-high must be a number of at least 0.7, not 0.6"),
+])  # fmt: skip
+def test_a_task_that_cannot_be_run_is_refused(change, message):
+    with pytest.raises(UserError) as refusal:
+        EnvConfig(**change)
+    assert str(refusal.value) == message
+
+
 # --- waypoints -------------------------------------------------------------------------
 
 
@@ -506,7 +554,7 @@ def test_waypoint_is_reached_after_a_tenth_of_a_second():
     env = make_env("gap")
     for expected in (0, 0, 0, 0, 1):  # 5 steps of 0.02 s
         *_, info = near_waypoint(env)
-        assert (info["episode"]["waypoints"] == expected).all()
+        assert (info["totals"]["waypoints"] == expected).all()
 
 
 @pytest.mark.parametrize("offset, reached", [(0.18, 1), (0.22, 0)])
@@ -514,14 +562,14 @@ def test_waypoint_radius(offset, reached):
     env = make_env("gap")
     for _ in range(6):
         *_, info = near_waypoint(env, offset)
-    assert (info["episode"]["waypoints"] == reached).all()
+    assert (info["totals"]["waypoints"] == reached).all()
 
 
 def test_leaving_restarts_the_clock():
     env = make_env("gap")
     for offset in (0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0):
         *_, info = near_waypoint(env, offset)
-    assert (info["episode"]["waypoints"] == 0).all()
+    assert (info["totals"]["waypoints"] == 0).all()
 
 
 def test_last_waypoint_truncates():
@@ -530,7 +578,7 @@ def test_last_waypoint_truncates():
     for k in range(5):
         _, _, terminated, truncated, info = near_waypoint(env)
         assert truncated.all() == (k == 4) and not terminated.any()
-    assert (info["episode"]["waypoints"] == NUM_WAYPOINTS).all()
+    assert (info["totals"]["waypoints"] == NUM_WAYPOINTS).all()
     assert (env.waypoint_index == 0).all()  # reset in the same step
 
 
@@ -683,7 +731,7 @@ def test_feet_in_the_air_violate_no_edge():
     edge = env.world.courses[0].obstacles[0].x0
     stand(env, 0, edge - 0.03 - 0.1881, 0.0, z=0.03)  # 3 cm above it
     *_, info = env.step(still(env))
-    assert not info["final_observation"][0, SLICES["foot_contact"]].any()
+    assert not info["final_obs"][0, SLICES["foot_contact"]].any()
     assert info["feet_on_edge"][0] == 0
 
 
@@ -833,7 +881,7 @@ def test_the_last_waypoint_and_a_fall_at_once_is_a_finish():
     stand(env, [0], x, y, z=env.world.ground(0, np.array([x, y])))
     env._qpos[0, 3:7] = np.cos(0.8), np.sin(0.8), 0.0, 0.0  # rolled by 1.6 rad: fallen
     _, _, terminated, truncated, info = env.step(still(env))
-    assert info["episode"]["waypoints"][0] == NUM_WAYPOINTS and truncated[0] and not terminated[0]
+    assert info["totals"]["waypoints"][0] == NUM_WAYPOINTS and truncated[0] and not terminated[0]
 
 
 def test_edges_add_up_over_the_episode(monkeypatch):
@@ -841,7 +889,7 @@ def test_edges_add_up_over_the_episode(monkeypatch):
     monkeypatch.setattr(env, "_near_edge", lambda: np.tile([True, False, True, True], (2, 1)))
     for k in range(1, 4):
         *_, info = env.step(still(env))
-        assert info["episode"]["edge"].tolist() == [3 * k, 3 * k]
+        assert info["totals"]["edge"].tolist() == [3 * k, 3 * k]
 
 
 def test_a_new_episode_begins_with_a_look():
@@ -851,7 +899,7 @@ def test_a_new_episode_begins_with_a_look():
     stand(env, 0, (pit.x0 + pit.x1) / 2, 0.0, z=-0.5)
     env._look(np.arange(1))
     observation, _, terminated, _, info = env.step(still(env))
-    assert terminated.all() and np.ptp(info["final_observation"][0, SCANDOTS]) > 0.5
+    assert terminated.all() and np.ptp(info["final_obs"][0, SCANDOTS]) > 0.5
     np.testing.assert_allclose(observation[:, SCANDOTS], first, atol=1e-6)
 
 

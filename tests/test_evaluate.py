@@ -1,9 +1,6 @@
 import json
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from agility_ref import evaluate as evaluation_module
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError
@@ -27,6 +24,9 @@ from agility_ref.results.published import evaluate_by_protocol
 from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, SKILLS
 from agility_ref.training.policies import ENVIRONMENTS
+
+import numpy as np
+import pytest
 
 SHORT = EnvConfig(episode_seconds=0.6)  # 30 steps
 FEW = EvaluationConfig(episodes=3, seed=1)
@@ -319,7 +319,7 @@ def test_oracle_agrees_with_itself(five_skills):
 
 
 def test_skills_are_recorded_until_the_end(five_skills):
-    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3))
+    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3), np.arange(5))
     evaluation = evaluate(hierarchy, "gap", FEW, SHORT)
     assert evaluation.skill.shape == evaluation.oracle.shape
     np.testing.assert_array_equal((evaluation.skill == 3).sum(axis=0), evaluation.episode_length)
@@ -329,7 +329,7 @@ def test_skills_are_recorded_until_the_end(five_skills):
 
 
 def test_always_one_skill_evaluates_as_that_skill(five_skills):
-    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3))
+    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3), np.arange(5))
     a = arrays(evaluate(hierarchy, "gap", FEW, SHORT))
     b = arrays(evaluate(Single("leap", five_skills["leap"]), "gap", FEW, SHORT))
     for name in a:
@@ -337,7 +337,7 @@ def test_always_one_skill_evaluates_as_that_skill(five_skills):
 
 
 def test_choices_of_a_constant_selector(five_skills):
-    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3))
+    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3), np.arange(5))
     evaluation = evaluate(hierarchy, "gap", FEW, SHORT)
     choices = evaluation.choices()
     np.testing.assert_array_equal(choices["commonest_share"], 1.0)

@@ -2,33 +2,93 @@
 
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.go1 import DEFAULT_DOF_POS
 from agility_ref.observation import (
-    MIRROR_ACTION_INDEX,
-    MIRROR_ACTION_SIGN,
-    MIRROR_INDEX,
-    MIRROR_SIGN,
+    ACTION_MIRROR,
     OBS_DIM,
+    OBS_MIRROR,
+    SCANDOT_MIRROR,
     SCANDOT_X,
     SCANDOT_Y,
     SCANDOTS,
-    SIGHT_MARGIN,
+    Mirror,
     observation_slices,
-    sight,
+    rotation,
+    wrap,
 )
 from agility_ref.terrain import make_course
 from agility_ref.world import World
 
+import numpy as np
+import pytest
+
 SLICES = observation_slices()
 
 
-def test_mirroring_twice_is_nothing():
-    np.testing.assert_array_equal(MIRROR_INDEX[MIRROR_INDEX], np.arange(OBS_DIM))
-    np.testing.assert_array_equal(MIRROR_SIGN * MIRROR_SIGN[MIRROR_INDEX], 1.0)
+SWAP = Mirror(np.array([1, 0, 2, 3]), np.array([-1, -1, -1, 1], np.float32))
+MIRRORS = {
+    "observation": OBS_MIRROR, "action": ACTION_MIRROR, "scandots": SCANDOT_MIRROR, "identity": Mirror.identity(5),
+    "swap": SWAP,
+}  # fmt: skip
+
+
+@pytest.fixture(params=MIRRORS.values(), ids=MIRRORS.keys())
+def mirror(request):
+    return request.param
+
+
+# --- mirrors -------------------------------------------------------------------------------
+
+
+def test_a_mirror_image_by_hand():
+    np.testing.assert_array_equal(SWAP(np.array([[1.0, 2.0, 3.0, 4.0]])), [[-2.0, -1.0, -3.0, 4.0]])
+
+
+def test_mirroring_twice_is_nothing(mirror):
+    x = np.random.default_rng(0).standard_normal((3, 4, len(mirror.index)))
+    np.testing.assert_array_equal(mirror(mirror(x)), x)
+
+
+def test_bases_are_orthonormal_and_span_everything(mirror):
+    rows = np.concatenate(mirror.bases())
+    np.testing.assert_allclose(rows @ rows.T, np.eye(len(mirror.index)), atol=1e-6)
+
+
+def test_bases_hold_what_a_mirror_keeps_and_what_it_flips(mirror):
+    even, odd = mirror.bases()
+    # The rows of a matrix E M are the mirror images of the rows of E.
+    np.testing.assert_array_equal(mirror(even), even)
+    np.testing.assert_array_equal(mirror(odd), -odd)
+
+
+@pytest.mark.parametrize("mirror, even, odd", [
+    (OBS_MIRROR, 98, 86), (ACTION_MIRROR, 6, 6), (SCANDOT_MIRROR, 72, 60), (Mirror.identity(5), 5, 0), (SWAP, 2, 2),
+])  # fmt: skip
+def test_sizes_of_the_bases(mirror, even, odd):
+    """Scandots in 12 rows of 11: 6 even and 5 odd combinations each; of the rest, each pair of joints or feet gives one
+    of each, and of 12 numbers about the trunk the mirror flips 6: v_y, w_x, w_z, g_y and both heading errors."""
+    assert [len(basis) for basis in mirror.bases()] == [even, odd]
+
+
+def test_the_observations_mirror_is_made_of_the_others():
+    x = np.random.default_rng(0).standard_normal((7, OBS_DIM))
+    image = OBS_MIRROR(x)
+    np.testing.assert_array_equal(image[:, SCANDOTS], SCANDOT_MIRROR(x[:, SCANDOTS]))
+    for part in ("dof_pos", "dof_vel", "last_action"):
+        np.testing.assert_array_equal(image[:, SLICES[part]], ACTION_MIRROR(x[:, SLICES[part]]))
+
+
+def test_hips_change_sides_and_sign_thighs_and_calves_sides_alone():
+    # legs FR FL RR RL, joints hip thigh calf
+    action = np.arange(1.0, 13.0)
+    np.testing.assert_array_equal(ACTION_MIRROR(action), [-4, 5, 6, -1, 2, 3, -10, 11, 12, -7, 8, 9])
+
+
+def test_scandots_change_their_sides():
+    dots = np.arange(len(SCANDOT_X) * len(SCANDOT_Y)).reshape(len(SCANDOT_X), len(SCANDOT_Y))
+    np.testing.assert_array_equal(SCANDOT_MIRROR(dots.ravel()).reshape(dots.shape), dots[:, ::-1])
+    np.testing.assert_allclose(SCANDOT_Y, -SCANDOT_Y[::-1], atol=1e-6)
 
 
 def test_mirror_image_of_a_turned_robot():
@@ -46,57 +106,56 @@ def test_mirror_image_of_a_turned_robot():
     env._qpos[:, 0], env._qpos[:, 1] = 2.1, (0.2, -0.2)  # before the first beam
     env._qpos[:, 3:7] = [[0.98, 0.05, 0.02, 0.19], [0.98, -0.05, 0.02, -0.19]]
     joints = DEFAULT_DOF_POS + rng.uniform(-0.1, 0.1, 12)
-    env._qpos[:, 7:] = joints, joints[MIRROR_ACTION_INDEX] * MIRROR_ACTION_SIGN
+    env._qpos[:, 7:] = joints, ACTION_MIRROR(joints)
     action = rng.uniform(-0.3, 0.3, 12)
-    observation, reward, *_ = env.step(np.stack([action, action[MIRROR_ACTION_INDEX] * MIRROR_ACTION_SIGN]))
+    observation, reward, *_ = env.step(np.stack([action, ACTION_MIRROR(action)]))
     one, other = observation
     assert np.ptp(one[SCANDOTS]) > 0.1
     # The real trunk's centre of mass lies 2 mm left of its middle: nearly, not exactly.
     tolerance = np.full(OBS_DIM, 5e-3)
     tolerance[SLICES["dof_vel"]] = 0.2
-    assert (np.abs(one[MIRROR_INDEX] * MIRROR_SIGN - other) < tolerance).all()
+    assert (np.abs(OBS_MIRROR(one) - other) < tolerance).all()
     assert (np.abs(one - other) > 10 * tolerance).any()
     assert reward[0] == pytest.approx(reward[1], abs=1e-3)
 
 
-# --- what a policy's own courses show it ---------------------------------------------------
+# --- angles and rotations ------------------------------------------------------------------
 
 
-def straight_ahead(bound):
-    """Bounds (12,) of the scandots in the middle, from 0.45 m behind the trunk to 1.2 m before it."""
-    return bound[SCANDOTS].reshape(len(SCANDOT_X), len(SCANDOT_Y))[:, len(SCANDOT_Y) // 2]
+def quaternions(n=50):
+    quat = np.random.default_rng(0).standard_normal((n, 4))
+    return quat / np.linalg.norm(quat, axis=1, keepdims=True)
 
 
-def test_who_climbs_up_sees_nothing_deep_ahead_and_one_step_behind():
-    """Steps of 0.1 + 0.35 / 2 = 0.275 m, treads of at least 0.5 m.  Ahead the ground only rises; behind, within
-    0.45 m, at most one step lies below."""
-    low, high = sight(World([make_course("climb-up", 0.5, seed) for seed in range(4)]))
-    ahead, behind = SCANDOT_X > 0.1, SCANDOT_X < -0.1
-    np.testing.assert_allclose(straight_ahead(high)[ahead], SIGHT_MARGIN, atol=1e-6)
-    np.testing.assert_allclose(straight_ahead(high)[behind], 0.275 + SIGHT_MARGIN, atol=1e-6)
-    assert (straight_ahead(low)[ahead] <= -0.275 - SIGHT_MARGIN + 1e-6).all()
+def times(a, b):
+    """Hamilton's product of two quaternions, wxyz."""
+    scalar = a[0] * b[0] - a[1:] @ b[1:]
+    return np.array([scalar, *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))])
 
 
-def test_who_leaps_sees_the_pit_everywhere_and_nothing_high():
-    """The pit is 0.05 + 0.95 / 2 = 0.525 m deep; a robot in mid-leap has it below."""
-    low, high = sight(World([make_course("gap", 0.5, 0)]))
-    np.testing.assert_allclose(straight_ahead(high), 0.525 + SIGHT_MARGIN, atol=1e-6)
-    np.testing.assert_allclose(straight_ahead(low), -SIGHT_MARGIN, atol=1e-6)
+def test_rotation_against_quaternions_one_vector_at_a_time():
+    """v turns into q v q*, the slow way."""
+    quats, vector = quaternions(), np.array([0.3, -1.2, 2.0])
+    for matrix, quat in zip(rotation(quats), quats, strict=True):
+        turned = times(times(quat, np.array([0.0, *vector])), quat * [1, -1, -1, -1])
+        np.testing.assert_allclose(matrix @ vector, turned[1:], atol=1e-12)
 
 
-def test_sight_bounds_the_scandots_only():
-    low, high = sight(World([make_course("walk", 0.0, 0)]), OBS_DIM + 2)
-    rest = np.r_[0 : SCANDOTS.start, SCANDOTS.stop : OBS_DIM + 2]
-    assert np.isneginf(low[rest]).all() and np.isposinf(high[rest]).all()
-    assert np.isfinite(low[SCANDOTS]).all() and (low < high).all()
+def test_rotations_are_orthogonal():
+    r = rotation(quaternions())
+    np.testing.assert_allclose(r @ r.transpose(0, 2, 1), np.tile(np.eye(3), (50, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(r), 1.0)
 
 
-def test_robots_on_their_own_courses_see_what_is_within_their_sight():
-    """Standing robots at the start of every course, where the margin has to hold noise and the drop onto the feet."""
-    world = World([make_course(kind, 0.5, 1) for kind in ("climb", "gap", "beam", "walk")])
-    low, high = sight(world)
-    env = Go1Env(world, 4, EnvConfig(), lambda ids, fraction: ids)
-    observation, _ = env.reset(0)
-    for _ in range(20):
-        assert ((observation >= low) & (observation <= high)).all()
-        observation, *_ = env.step(np.zeros((4, 12)))
+def test_a_turn_to_the_left_by_hand():
+    half = np.sqrt(0.5)  # 90 degrees about z: x turns to y, y to -x
+    np.testing.assert_allclose(
+        rotation(np.array([[half, 0, 0, half]]))[0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12
+    )
+
+
+def test_wrap_keeps_the_angle_and_its_range():
+    angle = np.linspace(-20.0, 20.0, 401)
+    wrapped = wrap(angle)
+    assert (np.abs(wrapped) <= np.pi).all()
+    np.testing.assert_allclose(np.exp(1j * wrapped), np.exp(1j * angle), atol=1e-9)

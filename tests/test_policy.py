@@ -1,27 +1,43 @@
 import json
 
+from agility_ref.errors import UserError
+from agility_ref.networks import EquivariantMLP
+from agility_ref.observation import Mirror
+from agility_ref.policy import SCHEMA, Policy, elu, layers_of, mlp, read_npz, write_npz
+from agility_ref.ppo import Learner, PPOConfig
+from agility_ref.training.progress import processor, versions
+from agility_ref.training.state import learner_state, load_learner, policy_arrays
+from agility_ref.training.weights import sha256
+
 import numpy as np
 import pytest
 import torch
 
-from agility_ref.errors import UserError
-from agility_ref.networks import ActorCritic
-from agility_ref.policy import SCHEMA, Policy, elu, layers_of, mlp, read_npz, write_npz
-from agility_ref.ppo import Learner, PPOConfig
-from agility_ref.training.progress import processor, versions
-from agility_ref.training.weights import sha256
-
 META = {"policy": "walk", "act_dim": 3, "steps": 7}
+
+
+# Nine observations and three actions of which a pair each swaps, one changes its sign and the rest stay.
+SEEN = Mirror(np.array([1, 0, 2, 3, 4, 5, 6, 7, 8]), np.array([1, 1, -1, 1, 1, 1, 1, 1, 1], np.float32))
+DONE = Mirror(np.array([1, 0, 2]), np.array([-1, -1, 1], np.float32))
+
+
+def new_learner(seed):
+    return Learner.create(SEEN, DONE, PPOConfig(hidden=(16, 8)), seed, fixed=slice(5, 9))
 
 
 @pytest.fixture
 def learner():
     """A learner whose normaliser has seen data."""
-    learner = Learner.create(9, 3, PPOConfig(hidden=(16, 8)), seed=4, fixed=slice(5, 9))
+    learner = new_learner(4)
     learner.normalizer.update(np.random.default_rng(0).normal(2.0, 3.0, (100, 9)))
     with torch.no_grad():
-        learner.net.actor[-1].weight *= 100.0  # so that actions differ visibly
+        for half in (learner.net.actor.even, learner.net.actor.odd):
+            half[-1].weight *= 100.0  # so that actions differ visibly
     return learner
+
+
+def arrays_of(learner):
+    return policy_arrays(learner) | learner_state(learner)
 
 
 @pytest.fixture
@@ -31,15 +47,15 @@ def observations():
 
 @pytest.fixture
 def path(tmp_path, learner):
-    write_npz(tmp_path / "policy.npz", learner.arrays(), META)
+    write_npz(tmp_path / "policy.npz", arrays_of(learner), META)
     return tmp_path / "policy.npz"
 
 
 def test_round_trip(path, learner):
     arrays, meta = read_npz(path)
     assert meta["policy"] == "walk" and meta["steps"] == 7 and meta["schema"] == SCHEMA
-    assert arrays.keys() == learner.arrays().keys()
-    for name, array in learner.arrays().items():
+    assert arrays.keys() == arrays_of(learner).keys()
+    for name, array in arrays_of(learner).items():
         np.testing.assert_array_equal(arrays[name], array, err_msg=name)
 
 
@@ -48,7 +64,7 @@ def test_round_trip(path, learner):
     "array",
     [
         np.array(0.1, np.float32),
-        np.array([-0.0, np.inf, np.nan, 1e-45, 3.4e38], np.float32),
+        np.array([-0.0, 1e-45, -3.4e38, 3.4e38], np.float32),
         np.arange(24, dtype=np.float32).reshape(2, 3, 4).transpose(2, 0, 1),  # not contiguous
         np.zeros((0, 5), np.float32),
         np.array([0.1, 0.2]),
@@ -62,17 +78,25 @@ def test_every_kind_of_array_comes_back_bit_equal(tmp_path, array, compress):
     assert (again.dtype, again.shape, again.tobytes()) == (array.dtype, array.shape, array.tobytes())
 
 
-def test_byte_planes_compress_better(tmp_path):
-    # 24 bits of noise and 8 of sign and exponent, of which few are in use: below 0.9 of the size.
-    weights = np.random.default_rng(0).normal(0.0, 0.1, (200, 300)).astype(np.float32)
-    write_npz(tmp_path / "a.npz", {"a": weights}, META)
-    np.savez_compressed(tmp_path / "b.npz", a=weights)
-    sizes = [(tmp_path / name).stat().st_size for name in ("a.npz", "b.npz")]
-    assert sizes[0] < 0.9 * weights.nbytes < sizes[1]
+@pytest.mark.parametrize("compress", [True, False])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_numbers_that_are_not_finite_are_refused(tmp_path, value, compress):
+    write_npz(tmp_path / "a.npz", {"b": np.zeros(2), "a": np.array([1.0, value], np.float32)}, META, compress)
+    with pytest.raises(UserError, match=r"a\.npz is damaged: a has numbers that are not finite"):
+        read_npz(tmp_path / "a.npz")
+
+
+def test_what_a_policy_has_seen_may_have_no_limit(tmp_path):
+    seen = {"seen.low": np.array([-np.inf, 0.0], np.float32)}
+    write_npz(tmp_path / "a.npz", seen, META)
+    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz")[0]["seen.low"], seen["seen.low"])
+    write_npz(tmp_path / "a.npz", {"seen.high": np.array([np.nan])}, META)
+    with pytest.raises(UserError, match=r"seen\.high has numbers"):
+        read_npz(tmp_path / "a.npz")
 
 
 def test_loaded_policy_acts_bit_equally(path, learner, observations):
-    before = Policy.from_arrays(learner.arrays(), META)(observations)
+    before = Policy.from_arrays(arrays_of(learner), META)(observations)
     np.testing.assert_array_equal(Policy.load(path)(observations), before)
 
 
@@ -87,7 +111,7 @@ def test_normaliser_is_loaded_and_frozen(path, learner, observations):
 
 def test_numpy_policy_agrees_with_torch(path, learner, observations):
     with torch.no_grad():
-        expected = learner.net.actor(torch.from_numpy(learner.normalizer(observations))).numpy()
+        expected = learner.net.actor(learner.observe(observations)).numpy()
     assert np.abs(expected).max() > 0.1
     np.testing.assert_allclose(Policy.load(path)(observations), expected, atol=1e-5)
 
@@ -96,8 +120,8 @@ def test_a_policy_sees_nothing_beyond_its_bounds(learner):
     """Entry 3 is bounded to 1 .. 2: what lies beyond looks like the bound, all else is as it was."""
     low, high = np.full(9, -np.inf, np.float32), np.full(9, np.inf, np.float32)
     low[3], high[3] = 1.0, 2.0
-    free = Policy.from_arrays(learner.arrays(), META)
-    bounded = Policy.from_arrays(learner.arrays() | {"seen.low": low, "seen.high": high}, META)
+    free = Policy.from_arrays(arrays_of(learner), META)
+    bounded = Policy.from_arrays(arrays_of(learner) | {"seen.low": low, "seen.high": high}, META)
     observations = np.tile(np.linspace(-1.0, 4.0, 9, dtype=np.float32), (4, 1))
     observations[:, 3] = 0.0, 1.5, 2.0, 7.0
     clipped = observations.copy()
@@ -108,10 +132,10 @@ def test_a_policy_sees_nothing_beyond_its_bounds(learner):
 
 
 def test_resumed_learner_acts_bit_equally(path, learner, observations):
-    other = Learner.create(9, 3, PPOConfig(hidden=(16, 8)), seed=5, fixed=slice(5, 9))
-    other.load_arrays(read_npz(path)[0])
+    other = new_learner(5)
+    load_learner(other, read_npz(path)[0])
     with torch.no_grad():
-        a, b = (x.net.actor(torch.from_numpy(x.normalizer(observations))) for x in (learner, other))
+        a, b = (x.net.actor(x.observe(observations)) for x in (learner, other))
     assert torch.equal(a, b)
 
 
@@ -132,9 +156,10 @@ def test_mlp_by_hand():
 
 
 def test_layers_come_in_numeric_order():
-    net = ActorCritic(4, 2, tuple(range(5, 12)), init_std=1.0)  # indices up to 14: "10" after "8"
-    arrays = {name: p.detach().numpy() for name, p in net.named_parameters()}
-    assert [len(bias) for _, bias in layers_of(arrays, "actor")] == [5, 6, 7, 8, 9, 10, 11, 2]
+    net = EquivariantMLP(SEEN, tuple(range(10, 32, 2)), DONE, 1.0)  # 12 layers: "10" after "9"
+    arrays = {f"actor.{name}": array for name, array in net.dense().items()}
+    arrays = dict(sorted(arrays.items()))  # as text: "10" before "2"
+    assert [len(bias) for _, bias in layers_of(arrays, "actor")] == [*range(10, 32, 2), 3]
 
 
 def test_save_leaves_no_partial(path):
@@ -149,7 +174,7 @@ def test_interrupted_save_keeps_the_old_file(path, learner, monkeypatch):
     before = path.read_bytes()
     monkeypatch.setattr(np, "savez_compressed", fail)
     with pytest.raises(OSError, match="disk full"):
-        write_npz(path, learner.arrays(), META)
+        write_npz(path, arrays_of(learner), META)
     assert path.read_bytes() == before
 
 
@@ -225,55 +250,55 @@ def test_foreign_metadata(path, record):
 
 
 def test_other_schema(path, learner):
-    np.savez(path, __meta__=np.array(json.dumps({"schema": "agility_ref/999"})), **learner.arrays())
+    np.savez(path, __meta__=np.array(json.dumps({"schema": "agility_ref/999"})), **arrays_of(learner))
     refused(path, "schema")
 
 
 def test_missing_array(path, learner):
-    arrays = learner.arrays()
+    arrays = arrays_of(learner)
     del arrays["normalizer.mean"]
     write_npz(path, arrays, META)
     refused(path, "normalizer.mean")
 
 
 def test_missing_bias(path, learner):
-    arrays = learner.arrays()
+    arrays = arrays_of(learner)
     del arrays["actor.0.bias"]
     write_npz(path, arrays, META)
     refused(path, "actor.0.bias")
 
 
 def test_no_layers(path, learner):
-    arrays = {name: a for name, a in learner.arrays().items() if not name.startswith("actor")}
+    arrays = {name: a for name, a in arrays_of(learner).items() if not name.startswith("actor")}
     write_npz(path, arrays, META)
     refused(path, "0 actor layers")
 
 
 def test_layers_that_do_not_fit(path, learner):
-    arrays = learner.arrays()
-    arrays["actor.2.weight"] = np.zeros((8, 15), np.float32)
+    arrays = arrays_of(learner)
+    arrays["actor.1.weight"] = np.zeros((8, 15), np.float32)
     write_npz(path, arrays, META)
     refused(path, "expected")
 
 
 def test_other_number_of_actions(path, learner):
-    write_npz(path, learner.arrays(), META | {"act_dim": 12})
+    write_npz(path, arrays_of(learner), META | {"act_dim": 12})
     refused(path, "outputs")
 
 
 def test_normaliser_that_does_not_fit(path, learner):
-    write_npz(path, learner.arrays() | {"normalizer.var": np.ones(4, np.float32)}, META)
+    write_npz(path, arrays_of(learner) | {"normalizer.var": np.ones(4, np.float32)}, META)
     refused(path, "normalizer|shape")
 
 
 def test_bounds_that_do_not_fit(path, learner):
-    write_npz(path, learner.arrays() | {"seen.low": np.zeros(8, np.float32)}, META)
+    write_npz(path, arrays_of(learner) | {"seen.low": np.zeros(8, np.float32)}, META)
     with pytest.raises(UserError, match=r"seen.low .*\(8,\)"):
         Policy.load(path)
 
 
 def test_foreign_layer_names(path, learner):
-    write_npz(path, learner.arrays() | {"actor.first.weight": np.zeros((2, 2), np.float32)}, META)
+    write_npz(path, arrays_of(learner) | {"actor.first.weight": np.zeros((2, 2), np.float32)}, META)
     refused(path, "actor")
 
 

@@ -1,10 +1,10 @@
 from dataclasses import asdict, fields, replace
 
-import numpy as np
-import pytest
-
 from agility_ref.go1 import DEFAULT_DOF_POS
 from agility_ref.rewards import TERMS, RewardConfig, StepState, compute_reward
+
+import numpy as np
+import pytest
 
 DT = 0.02
 

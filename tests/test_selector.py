@@ -1,12 +1,8 @@
-import numpy as np
-import pytest
-
 from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
-from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
+from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOT_MIRROR, SCANDOTS
 from agility_ref.policy import Policy
 from agility_ref.selector import (
     Hierarchy,
-    SelectorConfig,
     SelectorEnv,
     Single,
     SupervisedConfig,
@@ -20,7 +16,11 @@ from agility_ref.selector import (
 from agility_ref.terrain import SKILLS, make_course
 from agility_ref.world import World
 
+import numpy as np
+import pytest
+
 FIVE = ("walk", "climb-up", "climb-down", "leap", "beam")
+LABELS = np.arange(5)  # the skills of a bank are in the order of the oracle's labels
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def test_three_skills_stand_in_for_five():
 
 def test_each_robot_gets_its_own_skill(five_skills, observation):
     skills = tuple(five_skills.values())
-    hierarchy = Hierarchy("test", skills, constant(0))
+    hierarchy = Hierarchy("test", skills, constant(0), LABELS)
     chosen = np.array([4, 0, 2, 2, 1, 3])
     action = hierarchy.execute(observation, chosen)
     assert action.shape == (6, ACTION_DIM)
@@ -80,7 +80,7 @@ def test_only_chosen_skills_are_run(observation):
     def never(observation):
         raise AssertionError("a skill that nobody chose was run")
 
-    hierarchy = Hierarchy("test", (never, lambda o: np.ones((len(o), ACTION_DIM))), constant(1))
+    hierarchy = Hierarchy("test", (never, lambda o: np.ones((len(o), ACTION_DIM))), constant(1), LABELS)
     action, skill = hierarchy.act(observation, None)
     assert (action == 1).all() and (skill == 1).all()
 
@@ -88,48 +88,20 @@ def test_only_chosen_skills_are_run(observation):
 @pytest.mark.parametrize("k", range(5))
 def test_always_the_same_skill_is_that_skill(five_skills, observation, k):
     skills = tuple(five_skills.values())
-    action, skill = Hierarchy("test", skills, constant(k)).act(observation, None)
+    action, skill = Hierarchy("test", skills, constant(k), LABELS).act(observation, None)
     np.testing.assert_array_equal(action, Single("alone", skills[k]).act(observation, None)[0])
     assert (skill == k).all()
 
 
-def test_decisions_are_held(five_skills, observation):
+def test_every_step_is_a_decision(five_skills, observation):
     calls = iter(range(5))
-    hierarchy = Hierarchy(
-        "test", tuple(five_skills.values()), lambda o, e: np.full(len(o), next(calls)), decision_steps=3
-    )
-    chosen = [hierarchy.act(observation, None)[1][0] for _ in range(8)]
-    assert chosen == [0, 0, 0, 1, 1, 1, 2, 2]
-
-
-def test_reset_forgets_the_held_decision(five_skills, observation):
-    calls = iter(range(5))
-    hierarchy = Hierarchy(
-        "test", tuple(five_skills.values()), lambda o, e: np.full(len(o), next(calls)), decision_steps=3
-    )
-    assert hierarchy.act(observation, None)[1][0] == 0
-    hierarchy.reset()
-    assert [hierarchy.act(observation, None)[1][0] for _ in range(4)] == [1, 1, 1, 2]
-
-
-def test_a_robot_whose_episode_ended_decides_anew_at_once(five_skills, observation):
-    calls = iter(range(5))
-    hierarchy = Hierarchy(
-        "test", tuple(five_skills.values()), lambda o, e: np.full(len(o), next(calls)), decision_steps=3
-    )
-    chosen = [hierarchy.act(observation, None)[1]]
-    hierarchy.reset(np.array([2, 5]))  # their episodes ended with the first step of the hold
-    chosen += [hierarchy.act(observation, None)[1] for _ in range(6)]
-    # Robots 0, 1, 3, 4 decide at steps 0, 3, 6, robots 2 and 5 at 0 and again at 1, 4.  The
-    # chooser is asked whenever somebody decides: at 0, 1, 3, 4, 6.
-    assert [step[0] for step in chosen] == [0, 0, 0, 2, 2, 2, 4]
-    assert [step[2] for step in chosen] == [0, 1, 1, 1, 3, 3, 3]
-    np.testing.assert_array_equal(chosen[1], [0, 0, 1, 0, 0, 1])
+    hierarchy = Hierarchy("test", tuple(five_skills.values()), lambda o, e: np.full(len(o), next(calls)), LABELS)
+    assert [hierarchy.act(observation, None)[1][0] for _ in range(5)] == [0, 1, 2, 3, 4]
 
 
 def test_a_decision_once_returned_is_not_changed(five_skills, observation):
     calls = iter(range(5))
-    hierarchy = Hierarchy("test", tuple(five_skills.values()), lambda o, e: np.full(len(o), next(calls)))
+    hierarchy = Hierarchy("test", tuple(five_skills.values()), lambda o, e: np.full(len(o), next(calls)), LABELS)
     first = hierarchy.act(observation, None)[1]
     hierarchy.act(observation, None)
     assert (first == 0).all()
@@ -174,17 +146,10 @@ def test_selector_takes_the_largest_logit(make_policy, observation, obs_dim, col
     np.testing.assert_array_equal(hierarchy.act(observation, None)[1], seen > 0)
 
 
-def test_the_checkpoint_says_how_long_a_choice_is_held(five_skills):
-    selector = linear_selector(NUM_SCANDOTS, 0)
-    assert selector_hierarchy("test", five_skills, selector).decision_steps == 1
-    selector.meta["decision_steps"] = 10
-    assert selector_hierarchy("test", five_skills, selector).decision_steps == 10
-
-
 def separable(n, seed):
-    """Scandots whose label is the sector that two of them point to."""
+    """Scandots whose label is the sector that two of them point to, in the middle of the first and the second row."""
     x = np.random.default_rng(seed).uniform(-1, 1, (n, NUM_SCANDOTS)).astype(np.float32)
-    return x, np.where(x[:, 0] > 0.3, 2, np.where(x[:, 5] > 0, 1, 0))
+    return x, np.where(x[:, 5] > 0.3, 2, np.where(x[:, 16] > 0, 1, 0))
 
 
 def test_fit_selector_learns_a_separable_problem():
@@ -195,6 +160,14 @@ def test_fit_selector_learns_a_separable_problem():
     assert selector.obs_dim == NUM_SCANDOTS
     x, label = separable(1000, 1)
     assert (selector(x).argmax(axis=1) == label).mean() > 0.9
+
+
+def test_a_selector_chooses_alike_for_what_is_mirrored():
+    arrays, _ = fit_selector(*separable(500, 0), 3, SupervisedConfig(epochs=5, batch_size=64, hidden=(16,)), seed=0)
+    selector = Policy.from_arrays(arrays, {})
+    x, _ = separable(200, 1)
+    assert np.ptp(selector(x)) > 0.5
+    np.testing.assert_allclose(selector(SCANDOT_MIRROR(x)), selector(x), atol=1e-5)
 
 
 def test_fit_selector_is_reproducible():
@@ -223,7 +196,7 @@ def test_collected_labels_are_the_oracles(env, five_skills):
             wanted.append(env.oracle_skill())
             return super().act(observation, env)
 
-    actor = Noting("walker", tuple(five_skills.values()), constant(0))
+    actor = Noting("walker", tuple(five_skills.values()), constant(0), LABELS)
     scandots, labels = collect_labels(env, actor, oracle, 38)
     assert scandots.shape == (40, NUM_SCANDOTS)  # ten steps of four robots
     np.testing.assert_array_equal(labels, np.concatenate(wanted))
@@ -257,148 +230,18 @@ def test_selector_env_executes_the_chosen_skill(env, five_skills):
     np.testing.assert_allclose(after[:, last_action], np.clip(action, -4, 4), atol=1e-6)
 
 
-# --- held decisions, by hand -------------------------------------------------------------
-
-
-class Scripted:
-    """Two robots whose rewards and ends are written down; an observation holds the step count."""
-
-    num_envs = 2
-    config = EnvConfig()
-
-    def __init__(self, rewards, terminated=(), truncated=()):
-        self.rewards, self.terminated, self.truncated = rewards, terminated, truncated
-        self.t, self.actions = 0, []
-
-    def observe(self, t):
-        return np.full((2, OBS_DIM), t, np.float32)
-
-    def reset(self, seed):
-        self.t = 0
-        return self.observe(0), {}
-
-    def oracle_skill(self):
-        return np.zeros(2, int)
-
-    def step(self, action):
-        self.actions.append(action[:, 0].copy())
-        ends = [
-            np.array([(self.t, robot) in marked for robot in range(2)]) for marked in (self.terminated, self.truncated)
-        ]
-        reward = np.array(self.rewards[self.t], float)
-        self.t += 1
-        info = {"final_observation": self.observe(self.t), "episode": {"length": np.full(2, self.t)}}
-        return self.observe(self.t), reward, *ends, info
-
-
-def held(env, reward="environment", gamma=0.5, **config):
-    """A SelectorEnv over skills that act by their index: 0 walks, 1 to 4 do something else."""
-    skills = tuple((lambda o, k=k: np.full((len(o), ACTION_DIM), float(k))) for k in range(5))
-    selector_env = SelectorEnv(env, Hierarchy("test", skills, constant(0)), reward, SelectorConfig(**config), gamma)
+def test_selector_env_passes_on_how_episodes_end(env, five_skills):
+    selector_env = SelectorEnv(env, oracle_hierarchy("oracle", five_skills), "oracle")
     selector_env.reset(0)
-    return selector_env
-
-
-def test_reward_of_a_hold():
-    env = Scripted([(1, 8), (2, 4), (4, 2)])
-    observation, reward, terminated, truncated, info = held(env, decision_steps=3).step(np.array([3, 1]))
-    # 1 + 2/2 + 4/4 = 3;  8 + 4/2 + 2/4 = 10.5
-    np.testing.assert_allclose(reward, [3.0, 10.5])
-    np.testing.assert_array_equal(env.actions, [[3, 1]] * 3)
-    assert not terminated.any() and not truncated.any()
-    assert (observation == 3).all() and (info["final_observation"] == observation).all()
-
-
-def test_an_episode_that_ends_within_a_hold():
-    # Robot 1 falls in the second of four steps, and its next episode ends in the fourth.
-    env = Scripted([(1, 1), (1, 2), (1, 100), (1, 100)], terminated={(1, 1)}, truncated={(3, 1)})
-    selector_env = held(env, decision_steps=4)
-    observation, reward, terminated, truncated, info = selector_env.step(np.array([3, 2]))
-    # 1 + 1/2 + 1/4 + 1/8 = 1.875;  1 + 2/2 = 2: what comes after its end is nobody's
-    np.testing.assert_allclose(reward, [1.875, 2.0])
-    np.testing.assert_array_equal(terminated, [False, True])
-    np.testing.assert_array_equal(truncated, [False, False])
-    np.testing.assert_array_equal(info["episode"]["length"], [4, 2])
-    np.testing.assert_array_equal(info["final_observation"][:, 0], [4, 2])
-    assert (observation == 4).all()
-    # it leaps, leaps, and then walks to the end of the hold
-    np.testing.assert_array_equal(env.actions, [[3, 2], [3, 2], [3, 0], [3, 0]])
-
-
-def test_an_end_in_the_last_step_of_a_hold():
-    env = Scripted([(1, 1), (1, 2)], truncated={(1, 0)})
-    _, reward, terminated, truncated, info = held(env, decision_steps=2).step(np.array([3, 2]))
-    np.testing.assert_allclose(reward, [1.5, 2.0])
-    np.testing.assert_array_equal(truncated, [True, False])
-    assert not terminated.any()
-    np.testing.assert_array_equal(info["final_observation"][:, 0], [2, 2])
-
-
-def test_switching_costs_within_an_episode_only():
-    # Robot 1 falls in the third decision: its fourth is the first of an episode, and free.
-    env = Scripted([(0, 0)] * 5, terminated={(2, 1)})
-    selector_env = held(env, switch_cost=0.25)
-    rewards = [selector_env.step(np.array(skill))[1] for skill in ((1, 1), (1, 2), (3, 2), (4, 3), (4, 4))]
-    np.testing.assert_allclose(np.stack(rewards).T, [[0, 0, -0.25, -0.25, 0], [0, -0.25, 0, 0, -0.25]])
-    selector_env.reset(0)
-    np.testing.assert_allclose(selector_env.step(np.array([2, 2]))[1], 0.0)
-
-
-def test_a_switch_costs_once_per_hold():
-    selector_env = held(Scripted([(0, 0)] * 6), decision_steps=3, switch_cost=0.25)
-    selector_env.step(np.array([1, 1]))
-    np.testing.assert_allclose(selector_env.step(np.array([1, 2]))[1], [0.0, -0.25])
-
-
-def test_oracle_reward_counts_every_step_of_a_hold():
-    # the oracle always walks: +-0.02 (1 + 1/2 + 1/4) = +-0.035
-    _, reward, *_ = held(Scripted([(9, 9)] * 3), "oracle", decision_steps=3).step(np.array([0, 1]))
-    np.testing.assert_allclose(reward, [0.035, -0.035])
-
-
-def test_decisions_of_any_length_have_the_same_return():
-    # sum over decisions of (gamma^k)^m R_m = sum over steps of gamma^t r_t
-    gamma, rewards = 0.9, np.random.default_rng(0).normal(size=(12, 2))
-    expected = (gamma ** np.arange(12)) @ rewards
-    for hold in (1, 2, 3, 4, 6, 12):
-        selector_env = held(Scripted(rewards), decision_steps=hold, gamma=gamma)
-        total = sum(gamma ** (hold * m) * selector_env.step(np.zeros(2, int))[1] for m in range(12 // hold))
-        np.testing.assert_allclose(total, expected)
-
-
-def test_a_hold_is_its_control_steps(five_skills):
-    """Ten single steps of one choice and one hold of ten end in the same state, falls included."""
-    courses = [make_course(kind, 0.5, 0) for kind in ("walk", "gap", "climb", "beam")]
-    skill = np.array([0, 3, 1, 4])
-    results = []
-    for hold in (1, 10):
-        env = Go1Env(World(courses), 4, EnvConfig(), lambda ids, fraction: ids)
-        hierarchy = oracle_hierarchy("oracle", five_skills)
-        selector_env = SelectorEnv(env, hierarchy, "environment", SelectorConfig(decision_steps=hold), 1.0)
-        selector_env.reset(0)
-        reward = 0.0
-        for _ in range(10 // hold):
-            observation, r, terminated, truncated, _ = selector_env.step(skill)
-            assert not (terminated | truncated).any()
-            reward = reward + r
-        results.append((observation, reward))
-    np.testing.assert_array_equal(results[0][0], results[1][0])
-    np.testing.assert_allclose(results[0][1], results[1][1], atol=1e-12)
-
-
-def test_a_fall_within_a_hold_is_reported_with_its_own_end(env, five_skills):
-    selector_env = SelectorEnv(
-        env, oracle_hierarchy("oracle", five_skills), "environment", SelectorConfig(decision_steps=5)
-    )
-    selector_env.reset(0)
-    env._qpos[2, 1] = 5.0  # outside the lane: it falls in the first of the five steps
-    observation, _, terminated, _, info = selector_env.step(np.zeros(4, int))
+    env._qpos[2, 1] = 5.0  # outside the lane
+    observation, reward, terminated, truncated, info = selector_env.step(np.zeros(4, int))
     np.testing.assert_array_equal(terminated, [False, False, True, False])
-    np.testing.assert_array_equal(info["episode"]["length"], [5, 5, 1, 5])
+    assert not truncated.any() and reward[2] == 0.02  # walking, where walking was right
     others = [0, 1, 3]
-    np.testing.assert_array_equal(info["final_observation"][others], observation[others])
-    assert (info["final_observation"][2] != observation[2]).any()
-    assert env._step_count[2] == 4  # of the next episode
+    np.testing.assert_array_equal(info["final_obs"][others], observation[others])
+    assert (info["final_obs"][2] != observation[2]).any()
+    assert info["totals"]["length"].tolist() == [1] * 4
+    assert len(set(info["kind"])) == 4  # each robot is on a kind of its own
 
 
 @pytest.fixture
@@ -417,16 +260,6 @@ def test_oracle_reward_over_three_skills(env, three_skills):
 def test_a_selector_of_three_knows_the_oracles_labels(three_skills):
     hierarchy = selector_hierarchy("ps-rl-3", three_skills, linear_selector(OBS_DIM, 9))
     assert hierarchy.labels.tolist() == [0, 1, 1, 2, 0]
-
-
-def test_a_held_choice_ends_with_the_episode_also_in_training_data(env, five_skills):
-    asked = []
-    hierarchy = Hierarchy(
-        "held", tuple(five_skills.values()), lambda o, e: asked.append(1) or np.zeros(len(o), int), 100
-    )
-    env.max_steps = 3
-    list(visit(env, hierarchy, 4 * 7))
-    assert len(asked) == 3  # at steps 0, 3, 6
 
 
 def test_action_noise_is_drawn_anew(env, five_skills, monkeypatch):

@@ -1,11 +1,11 @@
+from agility_ref.go1 import DEFAULT_DOF_POS, PhysicsConfig, make_model
+from agility_ref.simulation import Placement, Simulation, bounding_volumes
+from agility_ref.terrain import COURSE_KINDS, make_course
+
 import mujoco
 import numpy as np
 import pytest
 from mujoco import batch
-
-from agility_ref.go1 import DEFAULT_DOF_POS, PhysicsConfig, make_model
-from agility_ref.simulation import Placement, Simulation, bounding_volumes
-from agility_ref.terrain import COURSE_KINDS, make_course
 
 CONDITIONS = [(1.0, 0.0), (0.6, 2.0)]  # friction, payload [kg]
 

@@ -2,11 +2,11 @@ import doctest
 import importlib
 import pkgutil
 
-import numpy as np
-import pytest
-
 import agility_ref
 from agility_ref.stats import bootstrap_interval, iqm, paired_difference, t_interval, wilson_interval
+
+import numpy as np
+import pytest
 
 
 def modules():

@@ -1,6 +1,3 @@
-import numpy as np
-import pytest
-
 from agility_ref import terrain
 from agility_ref.terrain import (
     CELL,
@@ -18,6 +15,9 @@ from agility_ref.terrain import (
     make_course,
 )
 from agility_ref.world import EDGE_MIN_DROP, LEAD, TAIL, World, edge_map, height_map, region_map, scan_map, support_map
+
+import numpy as np
+import pytest
 
 INF = np.inf
 SEEDS = range(8)

@@ -1,3 +1,15 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
 # %% [markdown]
 # # 2. The robot: masses, motors, senses, rewards
 #
@@ -5,14 +17,10 @@
 # the model, pushes one motor to its limit, reads the observation, takes the reward
 # apart, and weighs the robot with its own feet (paper sections 3.1 and 4.1).
 #
-# Run it with `python tutorials/02_robot.py`; it takes a few seconds.
+# It takes about 10 seconds.  As a notebook it shows its figures below the cells; `python tutorials/02_robot.py` writes
+# them into the folder `figures/` of the directory you start it from.
 
 # %%
-from pathlib import Path
-
-import mujoco
-import numpy as np
-
 from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
 from agility_ref.go1 import (
     DEFAULT_DOF_POS,
@@ -25,20 +33,14 @@ from agility_ref.go1 import (
     make_model,
 )
 from agility_ref.observation import OBS_DIM, OBSERVATION, observation_slices
-from agility_ref.pictures.plots import BLUE, GREEN, ORANGE, PURPLE, RED, new_figure
+from agility_ref.pictures.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, new_figure, show
 from agility_ref.terrain import make_course
 from agility_ref.world import World
 
-FIGURES = Path("figures")
-FIGURES.mkdir(exist_ok=True)
+import mujoco
+import numpy as np
+
 LEG_COLOURS = dict(zip(LEGS, (BLUE, ORANGE, GREEN, RED), strict=True))
-
-
-def save(figure, name):
-    """Write a figure and say where it went."""
-    figure.savefig(FIGURES / name, dpi=110)
-    print("figure:", (FIGURES / name).resolve())
-
 
 # %% [markdown]
 # ## 2.1 The model
@@ -62,7 +64,7 @@ for k, joint in enumerate(JOINTS[:3]):  # the other legs are the same
     print(f"{joint:10}{low:10.3f} ..{high:7.3f}{DEFAULT_DOF_POS[k]:12.2f}{TORQUE_LIMITS[k]:13.2f}")
 
 # %% [markdown]
-# *A right figure:* the home pose.  From the side the legs are bent like a `<` with the
+# *What you should see:* the home pose.  From the side the legs are bent like a `<` with the
 # knees to the rear and every foot straight below its hip; from above the hips stand
 # between trunk and leg, and nothing is crossed.
 
@@ -88,7 +90,7 @@ axes[0, 0].axhline(0, color="#777777", linewidth=2)
 axes[0, 0].set(ylabel="z, up [m]", title="from the left", ylim=(-0.03, 0.37))
 axes[0, 1].set(ylabel="y, left [m]", title="from above", ylim=(-0.2, 0.2))
 axes[0, 1].legend(fontsize=8, loc="center")
-save(figure, "02_home_pose.png")
+show(figure, "02_home_pose")
 
 # %% [markdown]
 # ## 2.2 A motor is a spring, a damper and a limit
@@ -96,14 +98,15 @@ save(figure, "02_home_pose.png")
 # The policy does not command torques.  It names a target angle for every joint, 50 times a
 # second, and a PD controller turns that into a torque:
 #
-#     q_target = q_home + action_scale * action                                 [rad]
-#     tau      = clip( kp (q_target - q) - kd qdot,  -limit, +limit )           [N m]
+# $$q_\text{target} = q_\text{home} + \text{action\_scale} \cdot a \quad [\text{rad}], \qquad
+# \tau = \operatorname{clip}\bigl(k_p\,(q_\text{target} - q) - k_d\,\dot q,\; -\tau_\text{max},\; \tau_\text{max}\bigr)
+# \quad [\text{N m}]$$
 #
 # To see the motor alone we switch gravity off, hang the robot in the air, and ask one
 # thigh joint for a small and for a large step.  Dots are the torque law above computed from the
 # recorded q and qdot; the line is what MuJoCo applied.
 #
-# *A right figure:* the torque of the small step starts at kp times the step; that of the
+# *What you should see:* the torque of the small step starts at kp times the step; that of the
 # large one sits on the limit (dotted) until the joint has got going.  Then both reverse,
 # because the damper brakes, overshoot a little and settle on the dashed target.  The dots lie
 # on the lines.
@@ -147,11 +150,26 @@ axes[0, 0].legend(fontsize=8, loc="lower right")
 axes[1, 0].set(xlabel="time [s]", ylabel="torque [N m]")
 for axis in axes[:, 0]:
     axis.grid(alpha=0.3)
-save(figure, "02_step_response.png")
+show(figure, "02_step_response")
 
 # %% [markdown]
-# **Predict, then run.**  From which step size on does the thigh saturate at once?  Solve
-# `kp * size = limit` for the size, then try one just below and one just above.
+# **Predict, then run.**  From which step size on does the thigh saturate at once?  Work it out from the torque law, then
+# run the cell.
+
+# %%
+for size in (0.6, 0.65, 0.7, 0.75):
+    torque = step_response(size)[3]
+    print(f"step {size} rad: first torque {torque[0]:.2f} N m, the limit is {TORQUE_LIMITS[motor]} N m")
+
+# %% [markdown]
+# <details><summary>Answer</summary>
+#
+# Before anything moves, $\dot q = 0$ and $q_\text{target} - q$ is the step itself, so the law saturates at
+# $k_p \cdot \text{size} = \tau_\text{max}$, which is $23.7 / 35 = 0.677$ rad or an action of $0.677 / 0.3 = 2.3$.  The
+# environment clips actions at 4, so a policy can ask for more than the motor gives: near the limit, asking for more
+# changes nothing, and a learner that is out there gets no signal from its actions.
+#
+# </details>
 
 # %% [markdown]
 # ## 2.3 What the policy sees
@@ -175,55 +193,80 @@ for name, part in observation_slices().items():
         print(f"robot 0, {name}: {np.round(observation[0, part], 3)}")
 
 # %% [markdown]
-# **Try.**  `projected_gravity` is the direction "down" seen from the trunk.  What would it be
-# for a robot that lies on its right side?
+# **Predict.**  `projected_gravity` is the direction "down" seen from the trunk.  What would it be for a robot that lies
+# on its right side?
+#
+# <details><summary>Answer</summary>
+#
+# $(0, -1, 0)$: the trunk's y axis points to its left, and that side is up now, so "down" is along $-y$.  Nothing in this
+# vector depends on where the robot faces: gravity tells roll and pitch, never yaw.
+#
+# </details>
 
 # %% [markdown]
 # ## 2.4 The reward, term by term
 #
 # Each term is one function in `rewards.py`; the reward of a control step is their weighted sum
 #
-#     reward = dt * sum_k weight_k * term_k
+# $$r = \Delta t \sum_k w_k\, \text{term}_k$$
 #
 # We let 64 robots twitch with small random actions for two seconds and average every term.
 # Dividing by dt gives reward per second, which is easier to read.
 #
-# *A right figure:* `alive` and `tracking_yaw` stand near their weights in `RewardConfig`, because
-# nobody falls and everybody faces the waypoint.  `tracking_goal_vel`, the largest weight of all,
-# is not even positive: twitching gets nobody anywhere, and landing from the start pose slides the
-# robots back a little.  `gait_sync` costs about as much as that slide: feet that shake lose contact one by
-# one.  `standing` is always 0 on level ground, where `alive` is paid instead; the rest are small.
+# **Predict, then run.**  We do the same with 64 robots that do nothing at all and hold the home pose.  Who earns more, the
+# robots that move or those that stand still?
+#
+# *What you should see:* `alive` and `tracking_yaw` stand near their weights in `RewardConfig`, because nobody falls and
+# everybody faces the waypoint.  `tracking_goal_vel`, the largest weight of all, is not even positive: nobody gets
+# anywhere, and landing from the start pose slides the robots back a little.  Most of what twitching changes are costs.
+
 
 # %%
-rng = np.random.default_rng(0)
-steps = round(2.0 / config.dt)
-sums, largest, falls = {}, 0.0, 0
-for _ in range(steps):
-    action = rng.normal(0.0, 0.3, (env.num_envs, ACTION_DIM))
-    _, reward, terminated, _, info = env.step(action)
-    falls += terminated.sum()
-    for name, term in info["reward_terms"].items():
-        sums[name] = sums.get(name, 0.0) + term.mean()
-    largest = max(largest, np.abs(sum(info["reward_terms"].values()) - reward).max())
-print(f"{steps} steps, {falls} falls; reward and the sum of its terms differ by at most {largest:.0e}")
+def mean_terms(amplitude, seconds=2.0):
+    """Mean of each weighted term per second, over 64 robots whose actions are normal draws of this size."""
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    steps = round(seconds / config.dt)
+    sums, largest, falls = {}, 0.0, 0
+    for _ in range(steps):
+        _, reward, terminated, _, info = env.step(amplitude * rng.standard_normal((env.num_envs, ACTION_DIM)))
+        falls += terminated.sum()
+        for name, term in info["reward_terms"].items():
+            sums[name] = sums.get(name, 0.0) + term.mean() / seconds
+        largest = max(largest, np.abs(sum(info["reward_terms"].values()) - reward).max())
+    print(
+        f"actions of {amplitude}: {sum(sums.values()):+.3f} reward per second, {falls} falls; "
+        f"reward and the sum of its terms differ by at most {largest:.0e}"
+    )
+    return sums
 
-per_second = {name: total / (steps * config.dt) for name, total in sums.items()}
-order = sorted(per_second, key=per_second.get)
-values = np.array([per_second[name] for name in order])
-figure, axes = new_figure(1, 1, (8.0, 4.4))
+
+twitching, still = mean_terms(0.3), mean_terms(0.0)
+order = sorted(twitching, key=twitching.get)
+figure, axes = new_figure(1, 1, (8.0, 5.6))
 axis = axes[0, 0]
-bars = axis.barh(order, values, color=np.where(values >= 0, BLUE, RED))
-axis.bar_label(bars, labels=[f"{v:+.3f}" for v in values], padding=3, fontsize=8)
+for terms, shift, colour, label in ((twitching, -0.2, BLUE, "small random actions"), (still, 0.2, GREY, "no action")):
+    values = np.array([terms[name] for name in order])
+    bars = axis.barh(np.arange(len(order)) + shift, values, 0.4, color=colour, label=label)
+    axis.bar_label(bars, labels=[f"{v:+.3f}" for v in values], padding=3, fontsize=7)
+axis.set_yticks(range(len(order)), order)
 axis.axvline(0, color="black", linewidth=0.8)
-axis.set(xlabel="weighted term [reward per second], mean over 64 robots", title="small random actions on level ground")
-axis.margins(x=0.12)
-save(figure, "02_reward_terms.png")
-print(f"sum: {values.sum():+.3f} per second")
+axis.set(xlabel="weighted term [reward per second], mean over 64 robots", title="level ground, two seconds")
+axis.legend(loc="lower right", fontsize=9)
+axis.margins(x=0.14)
+show(figure, "02_reward_terms")
 
 # %% [markdown]
-# **Predict, then run.**  Replace the 0.3 above by 0 (no twitching).  Which bars vanish, and
-# does the sum rise or fall?  Why is that a trap for a robot that has just begun to learn, and
-# which term must pull it out?
+# <details><summary>Answer</summary>
+#
+# Standing still earns more.  That is the surprise of this tutorial, and the trap that every reward of a walking robot
+# sets: the first thing that learning discovers is that **moving costs**.  Accelerations, jerky actions and feet that
+# lose contact are paid for at once, while the reward for getting somewhere comes only to a robot that can nearly walk.
+# From standing still every small change of the policy makes things worse.  Two things pull it out.  One is the noise of
+# exploration, which now and then moves a robot *forwards*, and `tracking_goal_vel` pays for each centimetre.  The other
+# is a weight of the costs that is small enough for these centimetres to count.
+#
+# </details>
 
 # %% [markdown]
 # ## 2.5 Contact
@@ -231,9 +274,9 @@ print(f"sum: {values.sum():+.3f} per second")
 # Episodes begin with the feet 2 cm above the ground.  Once the robot stands still,
 # Newton's law leaves no choice:
 #
-#     sum over feet of F_z = m g
+# $$\sum_{\text{feet}} F_z = m g$$
 #
-# *A right figure:* zero while falling, then an overshoot, and a damped oscillation around 1:
+# *What you should see:* zero while falling, then an overshoot, and a damped oscillation around 1:
 # the knees are springs, see 2.2.  Below, all four feet are in contact (dark) soon after the
 # landing.
 
@@ -261,12 +304,30 @@ axes[1, 0].imshow(
 )  # fmt: skip
 axes[1, 0].set_yticks(range(4), LEGS)
 axes[1, 0].set(xlabel="time [s]", ylabel="foot", xlim=(0, t[-1]))
-save(figure, "02_contact.png")
+show(figure, "02_contact")
 print(f"in the last second the feet carry {np.mean(force[-50:]):.3f} of the weight of {weight:.1f} N")
 print(f"trunk at {env.base_pos[0, 2]:.3f} m; with stiff knees it would stand at {STAND_HEIGHT} m")
 
 # %% [markdown]
-# **Try.**  Add a payload: `config = EnvConfig(payload_high=2.0, noise=0.0, push_interval=0.0)`.
-# The ratio still ends at 1.  Why, and how deep do the knees bend now?
+# **Predict, then run.**  We put 2 kg on the trunk.  Where does the ratio end now, and where does the trunk?
+
+# %%
+for payload in (0.0, 2.0):
+    heavy = make_model(flat, payload=payload)
+    d = mujoco.MjData(heavy)
+    mujoco.mj_resetDataKeyframe(heavy, d, 0)
+    mujoco.mj_step(heavy, d, round(4.0 / heavy.opt.timestep))
+    carried = np.abs(d.sensordata[:16].reshape(4, 4)[:, 3]).sum() / (heavy.body_subtreemass[1] * 9.81)
+    print(f"payload {payload} kg: the feet carry {carried:.3f} of the weight, the trunk stands at {d.qpos[2]:.3f} m")
+
+# %% [markdown]
+# <details><summary>Answer</summary>
 #
-# Next: `03_ppo.py` teaches it to walk.
+# The ratio still ends at 1: whatever stands still is carried, so force and weight grow together.  The trunk stands
+# lower.  The motors are springs without an integral term, and a spring carries more only if it is bent further.  A
+# policy sees this as joint angles that never arrive at their targets, and has to learn to aim higher with a load that
+# nobody tells it about.
+#
+# </details>
+#
+# Next: `03_ppo.py` turns rewards into better actions.

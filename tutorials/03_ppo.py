@@ -1,57 +1,53 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
 # %% [markdown]
-# # 3. PPO: from three numbers to a robot that walks
+# # 3. PPO: advantages by hand, and a silent bug
 #
-# PPO needs three ideas: how much better an action was than expected (2 lines of numpy), what
-# to do when an episode ends (where many implementations are wrong), and how far one update
-# may go (1 line of torch).  After them a Go1 learns to walk on your machine.
+# PPO needs three ideas: how much better an action was than expected (two lines of numpy), what to do when an episode ends
+# (where many implementations are wrong), and how far one update may go (one line of torch).  Then the whole algorithm
+# learns a small task twice, once as it should and once with a bug that nobody notices (paper section 3.2.1).
 #
-# Run it with `python tutorials/03_ppo.py`.  Everything up to 3.4 takes seconds.  Training takes
-# minutes, and the script prints how many it took; it is saved in `runs/tutorial/walk/seed0`
-# of the directory you start from.  Stop it with Ctrl-C when you like: the next start goes
-# on from there, and a finished run is not trained again.
+# It takes about half a minute.  As a notebook it shows its figures below the cells; `python tutorials/03_ppo.py` writes
+# them into the folder `figures/` of the directory you start it from.
 
 # %%
-from pathlib import Path
+import time
+
+from agility_ref.observation import Mirror
+from agility_ref.pictures.plots import BLUE, GREEN, ORANGE, RED, new_figure, show
+from agility_ref.ppo import Learner, PPOConfig, gae, policy_loss, train
 
 import numpy as np
 import torch
 
-from agility_ref.curriculum import PRESETS
-from agility_ref.evaluate import EvaluationConfig, evaluate, evaluation_env
-from agility_ref.pictures.plots import BLUE, GREEN, ORANGE, RED, learning_curve, new_figure
-from agility_ref.policy import read_npz
-from agility_ref.ppo import gae, policy_loss
-from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH
-from agility_ref.training.bank import load_policy, run_folder
-from agility_ref.training.policies import find_policy
-from agility_ref.training.progress import read_progress
-from agility_ref.training.runs import TrainConfig, train_policy
-
-FIGURES = Path("figures")
-FIGURES.mkdir(exist_ok=True)
-
-
-def save(figure, name):
-    """Write a figure and say where it went."""
-    figure.savefig(FIGURES / name, dpi=110)
-    print("figure:", (FIGURES / name).resolve())
-
+STARTED = time.perf_counter()
 
 # %% [markdown]
 # ## 3.1 How much better than expected?
 #
 # The critic predicts V(s), the discounted reward from state s on.  One step later we know more:
 #
-#     delta_t = r_t + gamma V(s_t+1) - V(s_t)                       (surprise of one step)
-#     A_t     = delta_t + gamma lambda A_t+1                        (surprises that follow count too)
+# $$\delta_t = r_t + \gamma V(s_{t+1}) - V(s_t) \quad \text{(surprise of one step)}, \qquad
+# A_t = \delta_t + \gamma \lambda A_{t+1} \quad \text{(surprises that follow count too)}$$
 #
-# Three steps by hand, with gamma = 0.9 and lambda = 0.8, so gamma lambda = 0.72:
+# Three steps by hand, with $\gamma = 0.9$ and $\lambda = 0.8$, so $\gamma \lambda = 0.72$; rewards $1, 2, 3$; values
+# $V(s_0), V(s_1), V(s_2) = 4, 5, 6$ and $V(s_3) = 7$:
 #
-#     r = 1, 2, 3        V(s_0..s_2) = 4, 5, 6        V(s_3) = 7
-#
-#     delta_2 = 3 + 0.9 * 7 - 6 = 3.3          A_2 = 3.3
-#     delta_1 = 2 + 0.9 * 6 - 5 = 2.4          A_1 = 2.4 + 0.72 * 3.3   = 4.776
-#     delta_0 = 1 + 0.9 * 5 - 4 = 1.5          A_0 = 1.5 + 0.72 * 4.776 = 4.93872
+# $$\begin{aligned}
+# \delta_2 &= 3 + 0.9 \cdot 7 - 6 = 3.3 & A_2 &= 3.3 \\
+# \delta_1 &= 2 + 0.9 \cdot 6 - 5 = 2.4 & A_1 &= 2.4 + 0.72 \cdot 3.3 = 4.776 \\
+# \delta_0 &= 1 + 0.9 \cdot 5 - 4 = 1.5 & A_0 &= 1.5 + 0.72 \cdot 4.776 = 4.93872
+# \end{aligned}$$
 
 # %%
 rewards = np.array([[1.0], [2.0], [3.0]])  # (T, N) = (3, 1): three steps of one robot
@@ -68,15 +64,15 @@ assert np.allclose(running[:, 0], [4.93872, 4.776, 3.3])
 #
 # *Terminated*: the robot fell.  Nothing follows, so the value of what follows is 0:
 #
-#     delta_1 = 2 + 0 - 5 = -3                 A_1 = -3               A_0 = 1.5 - 0.72 * 3 = -0.66
+# $$\delta_1 = 2 + 0 - 5 = -3, \qquad A_1 = -3, \qquad A_0 = 1.5 - 0.72 \cdot 3 = -0.66$$
 #
 # *Truncated*: the clock ran out.  The robot was fine and would have gone on, so the value of
 # its last state counts; but step 2 belongs to another episode and adds nothing:
 #
-#     delta_1 = 2 + 0.9 * 6 - 5 = 2.4          A_1 = 2.4              A_0 = 1.5 + 0.72 * 2.4 = 3.228
+# $$\delta_1 = 2 + 0.9 \cdot 6 - 5 = 2.4, \qquad A_1 = 2.4, \qquad A_0 = 1.5 + 0.72 \cdot 2.4 = 3.228$$
 #
 # A trap: after an automatic reset the next observation in the buffer is the *new* episode's
-# first.  V(s_t+1) has to come from the true last observation, `info["final_observation"]`.
+# first.  V(s_t+1) has to come from the true last observation, `info["final_obs"]`.
 
 # %%
 fell = gae(rewards, values, next_values, at_1, no, 0.9, 0.8)
@@ -87,24 +83,39 @@ assert np.allclose(fell[:, 0], [-0.66, -3.0, 3.3])
 assert np.allclose(timed_out[:, 0], [3.228, 2.4, 3.3])
 
 # %% [markdown]
-# **Predict, then run.**  What are the advantages for lambda = 0 and for lambda = 1?  For which of
-# the two does the critic's opinion of s_1 and s_2 not matter in A_0 of the running episode?
+# **Predict, then run.**  What are the advantages of the running episode for $\lambda = 0$ and for $\lambda = 1$?  For which
+# of the two does the critic's opinion of $s_1$ and $s_2$ not matter in $A_0$?
+
+# %%
+for lam in (0.0, 1.0):
+    print(
+        f"lambda = {lam:.0f}:  A =", gae(rewards, values, next_values, no, no, gamma=0.9, gae_lambda=lam)[:, 0].round(5)
+    )
 
 # %% [markdown]
-# ## 3.2 The silent bug: bootstrapping on death
+# <details><summary>Answer</summary>
+#
+# For $\lambda = 0$ each advantage is the surprise of one step, $1.5, 2.4, 3.3$: little noise, but as wrong as the critic is.
+# For $\lambda = 1$ the sum telescopes, $A_0 = 1 + 0.9 \cdot 2 + 0.81 \cdot 3 + 0.729 \cdot 7 - 4 = 6.333$: $V(s_1)$ and
+# $V(s_2)$ drop out, and all the noise of the rewards is in.  $\lambda = 0.95$ is the usual compromise.
+#
+# </details>
+
+# %% [markdown]
+# ## 3.2 One way to be wrong: bootstrapping on death
 #
 # Suppose someone merges the two flags and treats every end as a time-out.  Nothing crashes.
 # Take the smallest world that shows what happens: one state, reward 1 a step, and at every step
 # the robot dies with probability p.  Then
 #
-#     true value       V = 1 + gamma (1 - p) V      so      V = 1 / (1 - gamma (1 - p))
-#     with the bug     V = 1 + gamma V              so      V = 1 / (1 - gamma)
+# $$\text{truth: } V = 1 + \gamma (1 - p) V \;\Rightarrow\; V = \frac{1}{1 - \gamma (1 - p)}, \qquad
+# \text{with the bug: } V = 1 + \gamma V \;\Rightarrow\; V = \frac{1}{1 - \gamma}$$
 #
-# The second line does not contain p.  To the buggy learner **dying costs nothing**, however
+# The second does not contain $p$.  To the buggy learner **dying costs nothing**, however
 # often it happens.  We let both learn from the same experience with `gae`; advantage plus value is
 # the critic's target.
 #
-# *A right figure:* each curve climbs to its dashed line; the orange one stays five times too
+# *What you should see:* each curve climbs to its dashed line; the orange one stays five times too
 # high.
 
 # %%
@@ -144,12 +155,7 @@ axis.set(xlabel="update", ylabel="learned value [sum of discounted rewards]", yl
 axis.set_title(f"one state, reward 1, death with probability {DEATH} a step", fontsize=10)
 axis.legend(fontsize=8, loc="center right")
 axis.grid(alpha=0.3)
-save(figure, "03_bootstrap_bug.png")
-
-# %% [markdown]
-# **Try.**  The opposite bug treats a time-out as death.  Let `died` mean "time-out", in a world
-# where nobody dies: which value does it find, and would a walking robot get the
-# blame for running out of time?
+show(figure, "03_bootstrap_bug")
 
 # %% [markdown]
 # ## 3.3 How far may one update go?
@@ -157,9 +163,9 @@ save(figure, "03_bootstrap_bug.png")
 # PPO raises the probability of actions with A > 0 and lowers it for A < 0, but stops
 # caring once the ratio r = pi(a|s) / pi_old(a|s) has moved by eps:
 #
-#     L = - mean( min( r A,  clip(r, 1 - eps, 1 + eps) A ) )
+# $$L = -\,\mathbb{E}\bigl[\min\bigl(r A,\; \operatorname{clip}(r, 1 - \epsilon, 1 + \epsilon)\, A\bigr)\bigr]$$
 #
-# *A right figure:* for A = +1 the objective (minus the loss) grows with r and is flat beyond
+# *What you should see:* for A = +1 the objective (minus the loss) grows with r and is flat beyond
 # 1 + eps: no more gain from going further.  For A = -1 it is flat below 1 - eps, but **not**
 # flat above 1: a bad action that has become likelier is always corrected.  The dashed gradient
 # is r A, the objective itself, until it drops to zero.
@@ -182,125 +188,146 @@ for axis, advantage in zip(axes[0], (1.0, -1.0), strict=True):
     axis.grid(alpha=0.3)
 axes[0, 0].set_ylabel("objective of one action [-]")
 axes[0, 0].legend(fontsize=8)
-save(figure, "03_clipped_objective.png")
+show(figure, "03_clipped_objective")
 
 # %% [markdown]
-# ## 3.4 Train it
+# ## 3.4 The silent bug: a goal that costs everything
 #
-# One iteration is: play `num_steps` steps with `num_envs` robots, compute the advantages, pass over
-# the batch `update_epochs` times in `num_minibatches` pieces.  `train_policy` repeats that until the
-# budget of the policy table is spent.  The same run from the command line is
-# `agility-ref train walk --preset quick --out runs/tutorial`.
+# Now the opposite mistake, the commoner one: **every end is treated as a death**, time-outs too.  Our robots meet it daily, for
+# on their courses an episode is truncated after 20 s *or at the last waypoint*.
+#
+# To see it in seconds, take a runner in the plane.  It starts at $x = 0$ and sets its velocity $(v_x, v_y)$, at most 1 m/s
+# each, ten times a second.  It gets a reward for being alive and one for running forwards,
+#
+# $$r = 0.2 + 0.8\, v_x - y^2 \quad \text{per second},$$
+#
+# and its episode is truncated at $x = 4$ m (well done!) or after 10 s.  It never dies.  The observation is
+# $(x, y, v_x, v_y)$; left and right are alike, which `Mirror` says with a sign (tutorial 4).
+#
+# **Predict, then run.**  One learner is told that its episodes were truncated, the other that they terminated.  What will
+# the second do about the goal?  And which of the two collects more reward in an episode?
+
 
 # %%
-# Not in runs/quick, where the shipped selectors would find another walk than theirs.
-config = TrainConfig(preset="quick", seed=0, out="runs/tutorial")
-ppo = config.ppo
-print(
-    f"one iteration: {ppo.num_envs} robots x {ppo.num_steps} steps = {ppo.batch_size} steps, "
-    f"then {ppo.update_epochs * ppo.num_minibatches} gradient steps"
-)
-folder = run_folder(config.root, "walk", config.seed)
-if (folder / "DONE").exists():
-    print(f"{folder} is finished; delete the folder to train again")
-else:
-    budget = find_policy("walk").steps(config.preset)
+class Runner:
+    """N runners in the plane, with the interface that ``train`` expects; ``bug`` calls every end a death."""
+
+    GOAL, DT, LIMIT = 4.0, 0.1, 100  # [m], [s], control steps
+
+    def __init__(self, num_envs, bug):
+        self.num_envs, self.bug = num_envs, bug
+
+    def reset(self, seed=None):
+        """Start anew, all of them."""
+        self.rng = np.random.default_rng(seed)
+        self.state = np.zeros((self.num_envs, 4), np.float32)
+        self.age, self.total = np.zeros(self.num_envs, int), np.zeros(self.num_envs)
+        self._start(np.arange(self.num_envs))
+        return self.state.copy(), {}
+
+    def _start(self, who):
+        self.state[who] = 0.0
+        self.state[who, 1] = self.rng.uniform(-0.5, 0.5, len(who))
+        self.age[who], self.total[who] = 0, 0.0
+
+    def step(self, action):
+        """Run for a tenth of a second."""
+        velocity = np.clip(action, -1.0, 1.0)
+        self.state[:, :2] += self.DT * velocity
+        self.state[:, 2:] = velocity
+        self.age += 1
+        reward = self.DT * (0.2 + 0.8 * velocity[:, 0] - self.state[:, 1] ** 2)
+        self.total += reward
+        arrived = self.state[:, 0] >= self.GOAL
+        over = arrived | (self.age >= self.LIMIT)
+        info = {
+            "final_obs": self.state.copy(),
+            "kind": np.zeros(self.num_envs, int),  # there is one kind of course
+            "totals": {"reward": self.total.copy(), "arrived": arrived.copy(), "length": self.age.copy()},
+        }
+        self._start(np.flatnonzero(over))
+        never = np.zeros_like(over)
+        terminated, truncated = (over, never) if self.bug else (never, over)
+        return self.state.copy(), reward.astype(np.float32), terminated, truncated, info
+
+
+HANDEDNESS = Mirror(np.arange(4), np.array([1, -1, 1, -1], np.float32))  # of (x, y, vx, vy)
+ACTION = Mirror(np.arange(2), np.array([1, -1], np.float32))
+config = PPOConfig(num_envs=128, num_steps=32, hidden=(32, 32))
+ITERATIONS = 50
+
+
+def learn(bug):
+    """Train runners; return the learner, and return and share of arrivals of each iteration's episodes."""
+    learner = Learner.create(HANDEDNESS, ACTION, config, seed=0)
+    history = []
+    for record in train(Runner(config.num_envs, bug), learner, ITERATIONS * config.batch_size):
+        ended = record["episodes"] or [{"reward": np.nan, "arrived": np.nan}]
+        history.append([np.mean([e[key] for e in ended]) for key in ("reward", "arrived")])
+    return learner, np.array(history).T
+
+
+def run(learner):
+    """Positions x (T,) of one runner without exploration, until its episode is over."""
+    env, positions, over = Runner(1, bug=False), [0.0], False
+    observation, _ = env.reset(0)
+    with torch.inference_mode():
+        while not over:
+            action = learner.net.actor(learner.observe(observation)).numpy()
+            observation, _, _, truncated, info = env.step(action)
+            positions.append(info["final_obs"][0, 0])
+            over = truncated[0]
+    return np.array(positions)
+
+
+runs = {"right": learn(bug=False), "with the bug": learn(bug=True)}
+
+# %% [markdown]
+# *What you should see:* on the left, what a programmer watches, the return.  On the right, what the runners do.
+
+# %%
+figure, axes = new_figure(1, 3, (12.0, 3.6))
+for (label, (learner, (returns, arrived))), colour in zip(runs.items(), (BLUE, ORANGE), strict=True):
+    x = run(learner)
+    some = np.flatnonzero(np.isfinite(returns))  # iterations in which an episode ended
+    axes[0, 0].plot(some, returns[some], color=colour, label=label)
+    axes[0, 1].plot(some, arrived[some], color=colour)
+    axes[0, 2].plot(Runner.DT * np.arange(len(x)), x, color=colour)
     print(
-        f"training walk for {budget / 1e6:.1f} million steps = {budget * config.env.dt / 3600:.1f} hours of one robot's life"
+        f"{label:13}: return {np.nanmean(returns[-5:]):.1f}, {np.nanmean(arrived[-5:]):.0%} of the episodes arrive; "
+        f"without exploration at x = {x[-1]:.2f} m after {Runner.DT * (len(x) - 1):.1f} s"
     )
-    train_policy("walk", config, draw=learning_curve)
-
-progress = read_progress(folder / "progress.csv")
-_, record = read_npz(folder / "policy.npz")
-print(
-    f"{progress['steps'][-1] / 1e6:.2f} million steps took {progress['wall_seconds'][-1] / 60:.1f} min "
-    f"({np.median(progress['steps_per_second']):.0f} steps/s) on {record['versions']['machine']}"
-)
-
-# %% [markdown]
-# ## 3.5 The learning curve
-#
-# *A right figure:* the waypoint fraction (left) stays near zero while the robots learn to stand, and
-# rises steeply when they discover walking; the level of the curriculum follows it.  The return
-# (right) rises with it.  These curves include exploration noise; 3.6 does not.
-
-# %%
-figure, axes = new_figure(1, 2, (9.0, 3.6))
-steps = progress["steps"] / 1e6
-left, right_axis = axes[0]
-left.plot(steps, progress["waypoint_fraction"], color=BLUE, label="waypoint fraction")
-left.plot(steps, progress["level"], color=ORANGE, label="level / top level")
-left.set(xlabel="environment steps [million]", ylabel="fraction [-]", ylim=(0, 1.02))
-left.legend(fontsize=8)
-right_axis.plot(steps, progress["reward"], color=GREEN)
-right_axis.set(xlabel="environment steps [million]", ylabel="return per episode [reward]")
+axes[0, 0].set(xlabel="iteration", ylabel="return per episode [reward]")
+axes[0, 0].legend(fontsize=9)
+axes[0, 1].set(xlabel="iteration", ylabel="share of episodes that arrive [-]", ylim=(-0.03, 1.03))
+axes[0, 2].axhline(Runner.GOAL, color=GREEN, linestyle="--", linewidth=1)
+axes[0, 2].set(xlabel="time [s]", ylabel="x of one runner [m], goal dashed")
 for axis in axes[0]:
     axis.grid(alpha=0.3)
-save(figure, "03_learning_curve.png")
+show(figure, "03_silent_bug")
+print(f"time: {time.perf_counter() - STARTED:.0f} s")
 
 # %% [markdown]
-# ## 3.6 Does it walk?
+# <details><summary>Answer, and the surprise</summary>
 #
-# Evaluation plays whole episodes with the mean action, on courses that training never saw, with
-# noise and pushes on as in the paper:
+# The learner with the bug believes that the world ends at the goal.  Behind it is nothing, before it 0.2 a second for being
+# alive.  So it runs, because running pays, gets slower and slower, and never arrives: it waits in front of the goal until
+# the clock runs out.  It is an excellent solution of the wrong problem.
 #
-#     waypoint fraction = waypoints reached / 8
-
-# %%
-policy = load_policy("walk", config)
-settings = EvaluationConfig(episodes=32, preset="quick")
-summary = evaluate(policy, "walk", settings).summary()
-print(f"walk on walk, {summary['episodes']} episodes, d ~ U(0, {PRESETS['quick'].max_difficulty}):")
-for metric in ("waypoint_fraction", "reward", "episode_length", "edge_violation"):
-    print(f"  {metric:18} {summary[metric]['mean']:8.2f} ± {summary[metric]['std']:.2f}")
-print(f"  falls              {summary['falls']:8.2f}")
-
-# %% [markdown]
-# And one robot from above.
+# The surprise is the left picture: **its return is the higher one**.  A runner that arrives stops collecting, so by the
+# curve that everybody watches, the bug is an improvement.  Nothing crashes, the losses fall, the reward rises.  Two things
+# give it away: a measure of what you want (here the share that arrives, for our robots the waypoints), and a test with
+# three steps and arithmetic by hand, as in 3.1.
 #
-# *A right figure:* the line starts at x = 1 m and passes through one circle after another;
-# the circles have the radius (0.2 m) within which a waypoint counts.  A kink is a push.
-
-# %%
-env = evaluation_env("walk", settings)
-observation, _ = env.reset(settings.seed)
-policy.reset()
-path, done = [env.base_pos[0]], False
-while not done:
-    action, _ = policy.act(observation, env)
-    observation, _, terminated, truncated, info = env.step(action)
-    done = terminated[0] or truncated[0]
-    if not done:  # after the last step the robot has been reset already
-        path.append(env.base_pos[0])
-path = np.array(path)  # (T, 3) [m]
-reached, seconds = info["episode"]["waypoints"][0], info["episode"]["length"][0] * env.config.dt
-
-figure, axes = new_figure(2, 1, (9.0, 4.2))
-top, bottom = axes[:, 0]
-ground = env.world.heights[0]  # (900, 200) [m]
-top.imshow(
-    ground.T, origin="lower", extent=(0, LANE_LENGTH, -LANE_WIDTH / 2, LANE_WIDTH / 2),
-    cmap="Greys_r", interpolation="nearest", alpha=0.5,
-)  # fmt: skip
-angle = np.linspace(0, 2 * np.pi, 60)
-for k, (wx, wy) in enumerate(env.world.waypoints[0]):
-    radius = env.config.waypoint_radius
-    top.plot(
-        wx + radius * np.cos(angle), wy + radius * np.sin(angle), color=GREEN if k < reached else RED, linewidth=1.5
-    )
-top.plot(path[:, 0], path[:, 1], color=BLUE, linewidth=2)
-top.set(ylabel="y [m]", ylim=(-1.2, 1.2), xlim=(0, 16))
-top.set_title(
-    f"{reached} of 8 waypoints in {seconds:.1f} s (green: reached); bumps of {100 * np.ptp(ground):.0f} cm in grey",
-    fontsize=10,
-)
-bottom.plot(path[:, 0], path[:, 2], color=BLUE, linewidth=1)
-bottom.set(xlabel="x [m]", ylabel="trunk height [m]", ylim=(0, 0.5), xlim=(0, 16))
-bottom.grid(alpha=0.3)
-save(figure, "03_path.png")
-print(f"{reached} of 8 waypoints in {seconds:.1f} s, mean forward speed {np.ptp(path[:, 0]) / seconds:.2f} m/s")
-
-# %% [markdown]
-# **Predict, then run.**  Evaluate the walker where it was never trained:
-# `evaluate(policy, "gap", settings).summary()`.  How many waypoints of a gap course come before
-# the first gap?  That number is what a policy gets for free in Table 1.
+# </details>
+#
+# **Try.**  Give the reward no 0.2 for being alive.  Is the bug then harmless?
+#
+# <details><summary>Answer</summary>
+#
+# Nearly.  Waiting earns nothing now, and the last step before the goal still earns its reward, so both arrive.  Whether this bug
+# bites depends on the reward, which is why it survives in code that "works": it was tried on a task where it does not.
+#
+# </details>
+#
+# Next: `04_symmetry.py`.

@@ -9,9 +9,9 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from agility_ref.errors import UserError
+
+import tyro
 
 Policy = Annotated[str, tyro.conf.arg(metavar="POLICY")]
 Environment = Annotated[str, tyro.conf.arg(metavar="ENVIRONMENT")]
@@ -176,8 +176,10 @@ class Table1(Evaluated):
 def table1(options: Table1) -> None:
     """Compute Table 1, and what it says about the paper's findings."""
     from agility_ref.evaluate import check_evaluation
+    from agility_ref.files import remove_partials
     from agility_ref.results import findings, table1
     from agility_ref.training.bank import WeightsConfig, existing
+    from agility_ref.training.lock import locked
     from agility_ref.training.policies import find_policy
 
     seeds, config, results = table1.parse_seeds(options.seeds), options.evaluation(), Path(options.results)
@@ -196,17 +198,19 @@ def table1(options: Table1) -> None:
     for seed in seeds if options.train else ():
         table1.train_all(replace(training, seed=seed))
     try:
-        cells, missing = table1.compute(config, training, results / "cells", seeds)
+        with locked(results):
+            remove_partials(results / "cells")
+            cells, missing = table1.compute(config, training, results / "cells", seeds)
+            if not cells:
+                raise UserError(f"not one cell to fill, {results} is left as it is: {missing[0]}")
+            rows = table1.table_rows(cells)
+            title = table1.title(config, rows)
+            paths = table1.write_all(rows, results, title)  # files first: a terminal may fail
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; the same command goes on from {results / 'cells'}") from None
-    if not cells:
-        raise UserError(f"not one cell to fill, {results} is left as it is: {missing[0]}")
-    rows = table1.table_rows(cells)
     print(table1.text(rows))
     for line in missing:
         print(f"missing: {line}")
-    title = table1.title(config, rows)
-    paths = table1.write_all(rows, results, title)
     filled = [sum(row.ours is not None for row in rows if (row.paper is None) == extra) for extra in (False, True)]
     extra = sum(row.paper is None for row in rows)
     print(

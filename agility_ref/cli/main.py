@@ -9,19 +9,21 @@ In:  words typed in a shell.  Out: text, files, exit status 0, 1 (the reader lef
 """
 
 import errno
+import io
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from inspect import cleandoc
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Union
 
-import tyro
-
 from agility_ref import __version__
-from agility_ref.cli import commands, pictures
-from agility_ref.errors import UserError, unknown_name
+from agility_ref.cli import commands, export, pictures
+from agility_ref.errors import UserError, one_line, unknown_name
+
+import tyro
 
 PROGRAM = "agility-ref"
 ABOUT = """One generalist policy or a bank of specialists for a simulated Unitree Go1.
@@ -55,9 +57,14 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
     "diagnose": Command(commands.diagnose, commands.Diagnose, commands.evaluation_flags),
     "plot": PLOTS,
     "video": Command(pictures.video, pictures.Video, pictures.video_flags),
+    "export": Command(export.export, export.Export),
+    "export-mjcf": Command(export.export_mjcf, export.ExportMJCF),
     "list": Command(commands.list_names, commands.List),
 }
 GROUPS = {"plot": "Draw a picture as PNG and SVG; KIND is one of those below."}
+
+
+RENDERING = (pictures.video,)  # what draws with OpenGL
 
 
 def options_of(command: Command, every: bool) -> type:
@@ -105,20 +112,50 @@ def parse(words: list[str]) -> tuple[Command, Any]:
     return command, tyro.cli(union(found, command, every), args=words, prog=program, description=about)
 
 
+def prepare_streams() -> None:
+    """Make sure that a line to print never ends a command: to a closed stream, or of characters it does not know."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # closed by whoever started us; taking its number keeps it from the files that we open
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace" if stream.encoding.lower().startswith("utf") else "replace")
+
+
+@contextmanager
+def no_graphics(needed: bool) -> Iterator[None]:
+    """Keep MuJoCo, which reads MUJOCO_GL when it is imported, from loading a graphics library unless it is ``needed``.
+
+    The backend of matplotlib is fixed likewise: our figures need no window, and a notebook's is not installed here.
+    """
+    ours = {"MPLBACKEND": "agg"} | ({} if needed else {"MUJOCO_GL": "disable"})
+    before = {name: os.environ.get(name) for name in ours}
+    os.environ.update(ours)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; return the exit status."""
+    prepare_streams()
     commands.TYPED[:] = argv = sys.argv[1:] if argv is None else argv
     if argv == ["--version"]:
         print(f"{PROGRAM} {__version__}")
         return 0
     try:
         command, options = parse(argv)
-        command.run(options)
+        with no_graphics(needed=command.run in RENDERING):
+            command.run(options)
         sys.stdout.flush()
     except SystemExit as done:  # tyro has printed the help, or what is wrong with a flag
         return (done.code or 0) if argv else 2
     except UserError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        print(f"{PROGRAM}: {one_line(error)}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader of our output, `head` for one, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

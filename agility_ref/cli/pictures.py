@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from agility_ref.cli.commands import Environment, Evaluated, File, Folder, Policy, Preset, command_line, take
 from agility_ref.errors import UserError
+
+import tyro
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,14 +12,14 @@ Out: a :class:`Gait`, one number per foot; for one episode a figure of gait, pro
 from dataclasses import dataclass
 from itertools import pairwise
 
-import numpy as np
-
 from agility_ref.errors import UserError
 from agility_ref.go1 import DOF_RANGE, FOOT_RADIUS, LEGS, TORQUE_LIMITS
 from agility_ref.pictures.plots import BLUE, LEG_COLOURS, ORANGE, RED, empty_figure, style
 from agility_ref.pictures.record import Episode, side_by_side
 from agility_ref.terrain import NUM_WAYPOINTS, Course
 from agility_ref.world import World
+
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def swing_peaks(contact: np.ndarray, clearance: np.ndarray, counted: np.ndarray)
 
     Returns
     -------
-    four arrays, one a foot, with one entry a swing of any robot [m]
+    four arrays, one per foot, with one entry per swing of any robot [m]
     """
     peaks: list[list[float]] = [[], [], [], []]
     for robot in range(contact.shape[1]):
@@ -181,7 +181,7 @@ def _draw_progress(axis, episode: Episode) -> None:
 
 
 def _draw_rewards(axis, episode: Episode) -> None:
-    """One row a term, each on its own scale; what it summed to stands on the right."""
+    """One row per term, each on its own scale; what it summed to stands on the right."""
     names = sorted(episode.reward_terms, key=lambda name: -episode.reward_terms[name].sum())
     rows = np.stack([episode.reward_terms[name] for name in names])
     width = max(round(0.1 / episode.dt), 1)  # steps averaged in one cell of the picture, 0.1 s

@@ -5,8 +5,6 @@ Pure matplotlib: no graphics library, no display.
 In:  :class:`~agility_ref.pictures.record.Episode` objects; for the courses nothing.  Out: matplotlib figures.
 """
 
-import numpy as np
-
 from agility_ref import terrain
 from agility_ref.errors import UserError
 from agility_ref.go1 import FOOT_RADIUS, LEGS, STAND_HEIGHT
@@ -35,6 +33,8 @@ from agility_ref.pictures.scene import (
 )  # fmt: skip
 from agility_ref.terrain import BEAM_DROP, CELL, COURSE_KINDS, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, SKILLS, Course
 from agility_ref.world import height_map, region_map
+
+import numpy as np
 
 VIOLATION, ROBOT = RED, PURPLE
 ROW_LENGTH = 5.0  # [m] of course in one row of a strobe picture

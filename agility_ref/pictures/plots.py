@@ -6,13 +6,17 @@ matplotlib is imported when a figure is drawn, never at import.
 """
 
 import os
+import sys
+import warnings
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
-import numpy as np
-
+from agility_ref.files import replacing
 from agility_ref.stats import bootstrap_interval, iqm
 from agility_ref.training.progress import read_progress
+
+import numpy as np
 
 # Okabe and Ito, for whatever is neither a leg nor a skill.
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
@@ -52,11 +56,29 @@ def skill_colour(name: str) -> str:
     return SKILL_COLOURS.get(name, GREY)
 
 
-def style():
-    """Return a context in which matplotlib follows STYLE."""
-    import matplotlib
+def import_matplotlib():
+    """Return matplotlib, also where MPLBACKEND names a backend that is not installed, as a notebook's is here."""
+    if "matplotlib" in sys.modules or "MPLBACKEND" not in os.environ:
+        import matplotlib
 
-    return matplotlib.rc_context(STYLE)
+        return matplotlib
+    wanted = os.environ.pop("MPLBACKEND")
+    try:
+        import matplotlib
+    finally:
+        os.environ["MPLBACKEND"] = wanted
+    with suppress(ValueError):  # our figures use Agg; the caller's own keep the backend that was asked for
+        matplotlib.rcParams["backend"] = wanted
+    return matplotlib
+
+
+def style():
+    """Return a context in which matplotlib follows its defaults and STYLE, whatever a user's matplotlibrc asks for."""
+    matplotlib = import_matplotlib()
+    defaults = {key: value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith("backend")}
+    with warnings.catch_warnings():  # a default may be of a setting that is going away
+        warnings.simplefilter("ignore")
+        return matplotlib.rc_context(defaults | STYLE)
 
 
 def empty_figure(size: tuple[float, float]):
@@ -86,16 +108,17 @@ def skill_legend(figure, names) -> None:
 
 def save_figure(figure, out: Path, command: str) -> list[Path]:
     """Write ``out`` as PNG and as SVG, with the command and the versions in the metadata."""
+    import_matplotlib()
+    command = command.encode(errors="replace").decode()  # a folder's name need not be text
     made, out = made_with(), Path(out)
     out.parent.mkdir(parents=True, exist_ok=True)
     paths = [out.with_suffix(".png"), out.with_suffix(".svg")]
     tags = [{"Software": made, "Description": command}, {"Creator": made, "Description": command, "Date": None}]
     with style():
         for path, metadata in zip(paths, tags, strict=True):
-            partial = path.with_name(path.name + ".partial")
-            figure.savefig(partial, format=path.suffix[1:], metadata=metadata)
+            with replacing(path) as file:
+                figure.savefig(file, format=path.suffix[1:], metadata=metadata)
             figure.set_layout_engine("none")  # the PNG's layout is the SVG's
-            os.replace(partial, path)
     return paths
 
 
@@ -129,7 +152,7 @@ def band(curves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     Parameters
     ----------
-    curves : (S, G) one row a seed
+    curves : (S, G) one row per seed
 
     Returns
     -------
@@ -171,11 +194,11 @@ def learning_curves(
     evaluations: dict[str, list[dict[str, float]]] | None = None,
     metrics: tuple[str, ...] = ("waypoint_fraction", "level", "reward"),
 ):
-    """Compare policies: a thin line a seed, a bold IQM, a 95 % band; return the figure.
+    """Compare policies: one thin line per seed, a bold IQM, a 95 % band; return the figure.
 
     Parameters
     ----------
-    runs : policy -> the progress of each of its seeds, one array a column
+    runs : policy -> the progress of each of its seeds, one array per column
     evaluations : policy -> evaluations of its runs, each with ``steps`` and the metrics;
         drawn as diamonds, for they are played without exploration and on other courses
     metrics : columns of progress.csv, one panel each; read the waypoint fraction beside the
@@ -269,3 +292,20 @@ def table_figure(rows: list, out: Path, title: str) -> None:
         figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
         figure.suptitle(title, x=0.01, ha="left")
     save_figure(figure, out, f"agility-ref table1 ({title})")
+
+
+def show(figure, name: str) -> None:
+    """Show a figure of a tutorial: below the cell in a notebook, else as the file ``figures/<name>.png``."""
+    if "ipykernel" in sys.modules:
+        from io import BytesIO
+
+        from IPython.display import Image, display
+
+        png = BytesIO()
+        figure.savefig(png, format="png", dpi=110)
+        display(Image(data=png.getvalue()))
+        return
+    path = Path("figures", f"{name}.png").resolve()
+    path.parent.mkdir(exist_ok=True)
+    figure.savefig(path, dpi=110)
+    print("figure:", path)

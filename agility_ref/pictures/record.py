@@ -9,8 +9,6 @@ Out: one :class:`Episode` per robot, trimmed to its length.
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluation_courses, in_first_episode, rollout
@@ -19,6 +17,8 @@ from agility_ref.rewards import TERMS
 from agility_ref.selector import Hierarchy, Single
 from agility_ref.terrain import NUM_WAYPOINTS, Course
 from agility_ref.world import World
+
+import numpy as np
 
 # State arrays of the same name: the simulation's, and what the environment keeps track of.
 SIMULATED = ("qpos", "qvel", "foot_pos", "torque")
@@ -109,7 +109,7 @@ def record(
     config : seed, preset, difficulty and noise as in an evaluation; its number of episodes
         is not used
     courses : which courses of that evaluation, counted from 0
-    robots : robots a course, from different starts
+    robots : robots per course, from different starts
     env_config : the task
 
     Returns
@@ -134,11 +134,12 @@ def record(
 def play(policy: Single | Hierarchy, env: Go1Env, environment: str, seed: int) -> list[Episode]:
     """Play one episode of every robot of ``env``; every robot stays on its course."""
     simulation, c = env.simulation, env.config
+    touching = simulation.columns(BODY_TOUCH)
 
     def before(action: np.ndarray) -> dict[str, np.ndarray]:
         row = {name: getattr(simulation, name).copy() for name in SIMULATED}
         row |= {name: getattr(env, name).copy() for name in (*FOLLOWED, "command", "course")}
-        row["body_contact"] = simulation.sensors[:, BODY_TOUCH] > 0
+        row["body_contact"] = simulation.sensors[:, touching] > 0
         row["heading_error"] = env.heading_error[:, 0].copy()
         row["target"] = DEFAULT_DOF_POS + c.action_scale * np.clip(np.float64(action), -c.action_limit, c.action_limit)
         return row

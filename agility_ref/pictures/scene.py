@@ -17,13 +17,13 @@ Out: a compiled ``mujoco.MjModel`` to look at, never to train on; polygons in si
 from dataclasses import dataclass
 from itertools import pairwise
 
-import mujoco
-import numpy as np
-
 from agility_ref.go1 import FOOT_RADIUS, LEFT, LEGS, LINK_LENGTH, make_xml
 from agility_ref.pictures.plots import LEG_COLOURS, RED
 from agility_ref.terrain import CELL, GRID_SHAPE, LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, Course
 from agility_ref.world import EDGE_MIN_DROP, height_map
+
+import mujoco
+import numpy as np
 
 BODY, DARK, RUBBER = "#D8DADD", "#3A3F47", "#23262B"
 TOP_LOW, TOP_HIGH, SIDE, PIT, METRE = "#B9B2A3", "#F3EEE2", "#8C8577", "#5B564E", "#9C9485"
@@ -177,8 +177,8 @@ def mark_waypoints(model: mujoco.MjModel, index: int) -> None:
         model.geom(f"waypoint{k}").rgba = rgba(WAYPOINT_COLOURS[state])
 
 
-def make_scene(course: Course) -> mujoco.MjModel:
-    """Compile the dressed model of one course."""
+def scene_spec(course: Course) -> mujoco.MjSpec:
+    """Return the dressed model of one course, not yet compiled."""
     spec = mujoco.MjSpec.from_string(make_xml(course))
     for geom in spec.geoms:
         geom.group = COLLISION_GROUP
@@ -204,7 +204,12 @@ def make_scene(course: Course) -> mujoco.MjModel:
     spec.visual.quality.numslices, spec.visual.quality.numstacks = 16, 8
     spec.visual.map.znear, spec.visual.map.zfar, spec.visual.map.shadowclip = 0.01, 40.0, 1.0
     spec.stat.extent, spec.stat.center = 3.0, (3.0, 0.0, 0.2)
-    return spec.compile()
+    return spec
+
+
+def make_scene(course: Course) -> mujoco.MjModel:
+    """Compile the dressed model of one course."""
+    return scene_spec(course).compile()
 
 
 def support_points(shape: int, size: np.ndarray, directions: np.ndarray) -> np.ndarray:

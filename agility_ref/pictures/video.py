@@ -15,16 +15,17 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from agility_ref.errors import UserError
 from agility_ref.pictures.plots import made_with, skill_colour
 from agility_ref.terrain import NUM_WAYPOINTS
 
-if TYPE_CHECKING:
-    import mujoco
+import numpy as np
 
+if TYPE_CHECKING:
     from agility_ref.pictures.record import Episode
+
+    import mujoco
+    from tqdm import tqdm
 
 LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}  # Debian's names, in order
 ADVICE = (
@@ -46,15 +47,20 @@ def choose_gl() -> str:
 
     Raises
     ------
-    UserError : neither library is there
+    UserError : neither library is there, or not the one that MUJOCO_GL asks for
     """
-    if "MUJOCO_GL" in os.environ or not sys.platform.startswith("linux"):
-        return os.environ.get("MUJOCO_GL", "")
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if not sys.platform.startswith("linux"):
+        return wanted
+    if wanted and wanted not in (*LIBRARIES, "glfw", "glx"):
+        raise UserError(f"MUJOCO_GL is {wanted!r}, for a film it can be {' or '.join(LIBRARIES)}")
     for backend, libraries in LIBRARIES.items():
-        if all(map(_loads, libraries)):
+        if wanted in ("", backend) and all(map(_loads, libraries)):
             os.environ["MUJOCO_GL"] = backend
             os.environ.setdefault("PYOPENGL_PLATFORM", backend)
             return backend
+    if wanted in ("glfw", "glx"):  # a window's, where there is a display
+        return wanted
     raise UserError(ADVICE)
 
 
@@ -115,10 +121,9 @@ def frames(episode: "Episode", config: VideoConfig = VideoConfig()) -> Iterator[
     ------
     UserError : as check_video
     """
-    import mujoco
-    from tqdm import tqdm
-
     from agility_ref.pictures.scene import make_scene, mark_waypoints
+
+    import mujoco
 
     check_video(config)
     model = make_scene(episode.course)

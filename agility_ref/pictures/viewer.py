@@ -17,9 +17,6 @@ import time
 import webbrowser
 from pathlib import Path
 
-import mujoco
-import numpy as np
-
 from agility_ref.curriculum import find_preset
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError, unknown_name
@@ -40,6 +37,9 @@ from agility_ref.pictures.scene import (
 from agility_ref.selector import Hierarchy, Single
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, make_course
 from agility_ref.world import World
+
+import mujoco
+import numpy as np
 
 LOOPBACK = "127.0.0.1"
 PUSH = 1.0  # [m/s] added to the trunk's velocity by a push
@@ -71,7 +71,6 @@ class Session:
         self.env = Go1Env(World([self.course]), 1, env_config, seed=seed, num_threads=1)
         self._qpos, self._qvel = self.env.simulation.qpos, self.env.simulation.qvel
         self.observation, _ = self.env.reset(seed)
-        self.policy.reset()
         self.skill: int | None = None  # chosen at the last step
         self.wanted: int | None = None  # ... and named by the oracle there
 
@@ -87,10 +86,9 @@ class Session:
             self.skill = None if skill is None else int(skill[0])
         self.observation, _, terminated, truncated, info = self.env.step(action)
         if terminated[0] or truncated[0]:
-            waypoints = info["episode"]["waypoints"][0]
+            waypoints = info["totals"]["waypoints"][0]
             ending = "fell" if terminated[0] else "finished" if waypoints == NUM_WAYPOINTS else "ran out of time"
-            self.last_ending = f"{ending} after {info['episode']['length'][0] * self.env.config.dt:.1f} s"
-            self.policy.reset()
+            self.last_ending = f"{ending} after {info['totals']['length'][0] * self.env.config.dt:.1f} s"
 
     def push(self, direction: str) -> None:
         """Kick the trunk to the ``left`` or ``right`` or from ``behind``."""

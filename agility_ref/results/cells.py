@@ -16,9 +16,6 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 
-import mujoco
-import numpy as np
-
 from agility_ref.env import EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS, EvaluationConfig
@@ -29,9 +26,12 @@ from agility_ref.training.bank import WeightsConfig, bank_steps, load_policy, we
 from agility_ref.training.policies import find_policy
 from agility_ref.training.weights import sha256
 
+import mujoco
+import numpy as np
+
 # Files whose text decides what happens in an episode and how it is counted.
 SOURCES = (
-    "terrain", "world", "go1", "simulation", "rewards", "observation", "env", "curriculum", "policy", "selector",
+    "files", "terrain", "world", "go1", "simulation", "rewards", "observation", "env", "curriculum", "policy", "selector",
     "evaluate", "results/published", "training/policies", "training/bank",
 )  # fmt: skip
 

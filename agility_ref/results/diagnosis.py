@@ -14,8 +14,6 @@ regret says what it cost.
 
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.evaluate import EvaluationConfig, evaluation_env, oracle_accuracy, switches_per_second
 from agility_ref.pictures.plots import (
     SKILL_COLOURS,
@@ -32,6 +30,8 @@ from agility_ref.stats import bootstrap_interval, paired_difference
 from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, SKILLS
 from agility_ref.training.bank import WeightsConfig, load_policy
 from agility_ref.world import LEAD, height_map, region_map
+
+import numpy as np
 
 LEAP_BEGUN, LEAP_OVER = 0.1, 0.4  # [s] a leap that acts for less is a flicker; ... for more, may be over
 STEP_REACH = 0.6  # [m] "before an up-step": within a robot's length

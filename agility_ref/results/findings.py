@@ -15,26 +15,26 @@ In:  the cells of the table, the learning curves behind the weights, a file of a
 Out: one :class:`Finding` per row of ``CLAIMS``, and all of them as text.
 """
 
-import csv
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from itertools import product
-from math import isnan, nan
+from math import isfinite, isnan, nan
 from pathlib import Path
 from statistics import mode
 
-import numpy as np
-
 from agility_ref.errors import UserError
+from agility_ref.files import read_csv, write_text
 from agility_ref.results.cells import Cells, seeds_of, stack
 from agility_ref.results.table1 import ENVIRONMENT_LABELS, PAPER_LABELS, paper_cells
 from agility_ref.stats import paired_difference, t_interval
 from agility_ref.training import weights
 from agility_ref.training.bank import WeightsConfig, run_folder
 from agility_ref.training.policies import ALIASES, ENVIRONMENTS, find_policy
-from agility_ref.training.progress import read_progress, write_text
+from agility_ref.training.progress import read_progress
+
+import numpy as np
 
 REPRODUCED, NOT_REPRODUCED = "reproduced", "not reproduced"
 UNDECIDED, NOT_MEASURED = "undecided", "not measured"
@@ -284,10 +284,12 @@ def read_ablations(path: Path) -> list[dict]:
         return []
     kinds = dict(zip(ABLATION_COLUMNS, (str, str, int, lambda steps: int(float(steps)), float), strict=True))
     try:
-        with open(path, newline="") as file:
-            return [{name: kind(row[name]) for name, kind in kinds.items()} for row in csv.DictReader(file)]
-    except (KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{path} does not hold {','.join(ABLATION_COLUMNS)}: {error!r}") from None
+        rows = [{name: kind(row[name]) for name, kind in kinds.items()} for row in read_csv(path, ABLATION_COLUMNS)]
+        if not all(isfinite(row["waypoint_fraction"]) for row in rows):
+            raise ValueError("a waypoint fraction that is not finite")
+    except (UserError, ValueError, OverflowError) as error:
+        raise UserError(f"{path} does not hold {','.join(ABLATION_COLUMNS)}: {error}") from None
+    return rows
 
 
 def training_curve(policy: str, training: WeightsConfig) -> dict[str, np.ndarray] | None:

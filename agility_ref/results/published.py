@@ -6,11 +6,11 @@ In:  a policy and an environment, or every step of a run of fixed length, arrays
 Out: the four metrics, one number an ended episode.
 """
 
-import numpy as np
-
 from agility_ref.env import EnvConfig
 from agility_ref.evaluate import Evaluation, EvaluationConfig, check_evaluation, evaluate, evaluation_env, rollout
 from agility_ref.selector import Hierarchy, Single
+
+import numpy as np
 
 PUBLISHED_EPISODES = 1.5  # length of an as-published run, in longest episodes: 1500 control steps
 PUBLISHED_MEMORY = 1000  # the latest values of each metric that the original keeps

@@ -19,16 +19,17 @@ from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS, EvaluationConfig, evaluation_world, mean_std
+from agility_ref.files import write_csv, write_text
 from agility_ref.results.cells import Cell, Cells, acting_policies, enter, find_cell, seeds_of
 from agility_ref.stats import bootstrap_interval, iqm, wilson_interval
 from agility_ref.training import weights
 from agility_ref.training.bank import WeightsConfig, run_folder
 from agility_ref.training.policies import ENVIRONMENTS, POLICIES, TABLE_ROWS, find_policy
-from agility_ref.training.progress import write_csv, write_text
+from agility_ref.training.progress import attempt
+
+import numpy as np
 
 # Beyond the paper: the two rewards of section 3.2.2, and the future work of section 5.
 EXTRA_ROWS = ("ps-rl-3-env", "ps-rl-3-oracle", "distilled", "post-gen")
@@ -229,9 +230,9 @@ EXTRA_HEADINGS = ("Success", "Steps", "Seeds")
 def title(config: EvaluationConfig, rows: list[Row]) -> str:
     """Say in one line what the table shows."""
     seeds = sorted({seed for row in rows if row.ours for seed in row.ours.seeds})
-    parts = [f"Table 1, preset {config.preset}", f"{config.episodes} episodes a cell"]
+    parts = [f"Table 1, preset {config.preset}", f"{config.episodes} episodes per cell"]
     if config.protocol != "complete":
-        parts[1:] = [f"{config.episodes} robots a cell", f"counted {config.protocol}"]
+        parts[1:] = [f"{config.episodes} robots per cell", f"counted {config.protocol}"]
     if config.difficulty is not None:
         parts.append(f"difficulty {config.difficulty:g}")
     if config.clean:
@@ -368,7 +369,7 @@ def _math(value: str) -> str:
 
 
 def write_all(rows: list[Row], folder: Path, caption: str) -> list[Path]:
-    """Write table1.csv, table1.md, table1.tex and table1.png; return their paths."""
+    """Write table1.csv, table1.md and table1.tex, and draw table1.png if that can be done; return their paths."""
     from agility_ref.pictures.plots import table_figure
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -376,5 +377,4 @@ def write_all(rows: list[Row], folder: Path, caption: str) -> list[Path]:
     write_csv(paths[0], [csv_line(row) for row in rows])
     write_text(paths[1], f"# {caption}\n\n{markdown(rows)}")
     write_text(paths[2], latex(rows, caption))
-    table_figure(rows, paths[3], caption)
-    return paths
+    return paths if attempt(table_figure, rows, paths[3], caption) else paths[:3]

@@ -9,11 +9,10 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.curriculum import find_preset
 from agility_ref.env import ACTION_DIM, TRAINING, EnvConfig
 from agility_ref.errors import UserError
+from agility_ref.files import read_json
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
 from agility_ref.policy import Policy, read_npz
 from agility_ref.selector import (
@@ -24,6 +23,8 @@ from agility_ref.selector import (
 )
 from agility_ref.training import weights
 from agility_ref.training.policies import find_policy
+
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -50,10 +51,12 @@ def existing(folder: str) -> str:
 
     Raises
     ------
-    UserError : there is no such folder
+    UserError : there is no such folder, or it holds no runs
     """
     if folder and not Path(folder).is_dir():
         raise UserError(f"no folder of runs at {folder}")
+    if folder and not any(Path(folder).glob("*/seed*/")):
+        raise UserError(f"no runs in {folder}: it is to hold POLICY/seed0")
     return folder
 
 
@@ -62,25 +65,40 @@ def run_folder(root: Path, policy: str, seed: int) -> Path:
     return Path(root) / find_policy(policy).name / f"seed{seed}"
 
 
+def unfinished(folder: Path) -> bool:
+    """Whether a run was begun, or a finished one was being replaced, without coming to its end."""
+    return (folder.exists() and not (folder / "DONE").exists()) or (not folder.exists() and replaced(folder).exists())
+
+
+def replaced(folder: Path) -> Path:
+    """Return where the finished run of a folder lies while a new one takes its place."""
+    return folder.with_name(f".{folder.name}.old")
+
+
 def find_weights(policy: str, config: WeightsConfig) -> Path | None:
     """Find the weights of a policy: own runs first, then those shipped; None where neither exists.
 
     Raises
     ------
-    UserError : unknown policy or preset, a run of another preset, or settings or shipped weights that are damaged
+    UserError : unknown policy or preset, an unfinished run, one of another preset, or settings or shipped weights
+        that are damaged
     """
     find_preset(config.preset)
     own = run_folder(config.root, policy, config.seed)
-    if not (own / "DONE").exists():
+    if unfinished(own):
+        raise UserError(f"{own} holds a run that is not finished; finish it with: {_training_command(policy, config)}")
+    if not own.exists():
         return weights.shipped(config.preset, policy, config.seed)
     settings = own / "config.json"
-    try:
-        trained = json.loads(settings.read_text()).get("preset") if settings.exists() else config.preset
-    except (ValueError, AttributeError):
-        raise UserError(f"{settings} is damaged: it is to hold the settings of a run, as JSON") from None
+    trained = read_json(settings).get("preset") if settings.exists() else config.preset
     if trained != config.preset:
         raise UserError(f"{own} was trained under the preset {trained}, not {config.preset}")
     return own / "policy.npz"
+
+
+def _training_command(policy: str, config: WeightsConfig) -> str:
+    out = f" --out {config.out}" if config.out else ""
+    return f"agility-ref train {policy} --preset {config.preset} --seed {config.seed}{out}"
 
 
 def weights_path(policy: str, config: WeightsConfig) -> Path:
@@ -93,10 +111,9 @@ def weights_path(policy: str, config: WeightsConfig) -> Path:
     found = find_weights(policy, config)
     if found:
         return found
-    out = f" --out {config.out}" if config.out else ""
     raise UserError(
         f"no weights for {policy}, preset {config.preset}, seed {config.seed}; "
-        f"train them with: agility-ref train {policy} --preset {config.preset} --seed {config.seed}{out}"
+        f"train them with: {_training_command(policy, config)}"
     )
 
 

@@ -18,11 +18,11 @@ paper would give it a camera; teachers are the deterministic specialists.
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from agility_ref.env import ACTION_DIM, Go1Env
-from agility_ref.observation import OBS_DIM, SCANDOT_STD, SCANDOTS
+from agility_ref.env import Go1Env
+from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOT_STD, SCANDOTS
 from agility_ref.selector import Hierarchy, Single, visit
+
+import numpy as np
 
 if TYPE_CHECKING:
     from agility_ref.ppo import PPOConfig
@@ -96,27 +96,28 @@ def fit_student(
 
     The normaliser is that of the states seen; PPO takes it over and goes on counting.
     """
-    import torch
+    from agility_ref.networks import EquivariantMLP, Normalizer, fit
 
-    from agility_ref.networks import Normalizer, fit, mlp
+    import torch
 
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    normalizer = Normalizer(OBS_DIM, SCANDOTS, SCANDOT_STD)
+    normalizer = Normalizer(OBS_MIRROR, SCANDOTS, SCANDOT_STD)
     normalizer.update(observations)
-    net = mlp([OBS_DIM, *hidden, ACTION_DIM], 0.01)
+    net = EquivariantMLP(OBS_MIRROR, hidden, ACTION_MIRROR, 0.01)
 
     def loss(mb: torch.Tensor) -> torch.Tensor:
         # L = mean over joints and states of (pi(s) - a)^2
         x = torch.from_numpy(normalizer(observations[mb.numpy()]))  # by the batch: all of it twice is gigabytes
-        return ((net(x) - torch.from_numpy(actions[mb.numpy()])) ** 2).mean()
+        return ((net(net.parts(x)) - torch.from_numpy(actions[mb.numpy()])) ** 2).mean()
 
     losses = fit(
         net.parameters(), loss, len(actions), config.epochs, config.batch_size, config.learning_rate, generator,
         anneal=True,
     )  # fmt: skip
-    arrays = {f"actor.{name}": p.detach().numpy().copy() for name, p in net.named_parameters()}
+    arrays = {f"net.actor.{name}": p.detach().numpy().copy() for name, p in net.named_parameters()}
+    arrays |= {f"actor.{name}": array for name, array in net.dense().items()}
     return arrays | {
         "normalizer.mean": normalizer.mean, "normalizer.var": normalizer.var,
         "normalizer.count": np.array(normalizer.count),

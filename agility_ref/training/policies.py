@@ -46,12 +46,12 @@ THREE = ("walk", "climb", "leap")
 SEVEN = ("climb-up", "climb-down", "climb", "gap", "beam", "walk", "climb-gap")  # all kinds of course
 
 _SPECS = (
-    PolicySpec("climb-up", "CU", "ppo", ("climb-up",), (2_300_000, 10 * M), "walk"),
-    PolicySpec("climb-down", "CD", "ppo", ("climb-down",), (2_000_000, 8 * M), "walk"),
-    PolicySpec("leap", "Leap", "ppo", ("gap",), (2_600_000, 15 * M), "walk"),
-    PolicySpec("beam", "Beam", "ppo", ("beam",), (2_300_000, 15 * M), "walk"),
-    PolicySpec("walk", "Walk", "ppo", ("walk",), (1_500_000, 2 * M)),
-    PolicySpec("climb", "Climb", "ppo", ("climb",), (2_500_000, 12 * M), "walk"),
+    PolicySpec("climb-up", "CU", "ppo", ("climb-up",), (3 * M, 8 * M), "walk"),
+    PolicySpec("climb-down", "CD", "ppo", ("climb-down",), (3 * M, 5 * M), "walk"),
+    PolicySpec("leap", "Leap", "ppo", ("gap",), (5 * M, 15 * M), "walk"),
+    PolicySpec("beam", "Beam", "ppo", ("beam",), (3_500_000, 12 * M), "walk"),
+    PolicySpec("walk", "Walk", "ppo", ("walk",), (1_200_000, 2 * M)),
+    PolicySpec("climb", "Climb", "ppo", ("climb",), (3_500_000, 8 * M), "walk"),
     PolicySpec("oracle", "Oracle", "oracle", skills=FIVE),
     PolicySpec(
         "ps-rl-3-env", "PS-RL-3 (env)", "ppo-selector", ("climb", "gap", "climb-gap"),
@@ -62,10 +62,10 @@ _SPECS = (
         (300_000, 2 * M), skills=THREE, reward="oracle",
     ),
     PolicySpec("ps-sl-5", "PS-SL-5", "supervised", SEVEN, (300_000, 1 * M), skills=FIVE),
-    PolicySpec("gen-3", "GEN-3", "ppo", ("climb", "gap", "walk"), (3_600_000, 25 * M), "walk"),
+    PolicySpec("gen-3", "GEN-3", "ppo", ("climb", "gap", "walk"), (6 * M, 21 * M), "walk"),
     PolicySpec(
         "gen-5", "GEN-5", "ppo", ("climb-up", "climb-down", "gap", "beam", "walk"),
-        (4_700_000, 42 * M), "walk",
+        (8 * M, 34 * M), "walk",
     ),
     PolicySpec("distilled", "Distilled", "distilled", SEVEN, (300_000, 1 * M), teachers=FIVE),
     PolicySpec(

@@ -1,74 +1,81 @@
 """Progress: what a run shows and writes while it trains, and how it is stopped.
 
 In:  the record of each iteration of :func:`agility_ref.ppo.train`.
-Out: a progress bar, ``progress.csv`` and its reader, and a polite end on Ctrl-C.  Files are
-written under a temporary name and renamed, so that a reader never meets half of one;
-progress.csv alone grows in place, a row an iteration.
+Out: a progress bar, ``progress.csv`` and its reader, and a polite end on Ctrl-C.  progress.csv
+grows in place, one row per iteration; all other files are replaced as a whole.
 """
 
-import csv
 import os
 import platform
 import signal
 import sys
 from collections import deque
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.errors import UserError
+from agility_ref.files import read_csv, write_csv
+from agility_ref.policy import not_finite
 from agility_ref.terrain import NUM_WAYPOINTS
+
+import numpy as np
 
 PROGRESS = (
     "steps", "wall_seconds", "steps_per_second", "reward", "episode_length", "waypoint_fraction",
     "edge_violation", "level", "std", "learning_rate", "kl", "clip_fraction", "policy_loss", "value_loss", "entropy",
 )  # fmt: skip
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all."""
-    partial = path.with_suffix(".partial")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
-
-
-def write_csv(path: Path, rows: list[dict]) -> None:
-    """Write rows that share their keys, whole or not at all."""
-    partial = path.with_suffix(".partial")
-    with open(partial, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    os.replace(partial, path)
-
-
-def read_rows(path: Path) -> list[dict[str, str]]:
-    """Read a progress.csv; a last row that was cut short, and so has no end of line, is left out.
-
-    Raises
-    ------
-    UserError : a row has more or fewer cells than the header
-    """
-    text = path.read_text()
-    rows = list(csv.DictReader(text[: text.rfind("\n") + 1].splitlines()))
-    if any(None in row or None in row.values() for row in rows):
-        raise UserError(f"{path} is damaged: rows of different lengths")
-    return rows
+EPISODE = ("reward", "length", "waypoints", "edge")  # what is kept of an episode
 
 
 def read_progress(path: Path) -> dict[str, np.ndarray]:
-    """Read a progress.csv into one array a column.
+    """Read a progress.csv into one array per column; empty where it has no rows.
 
     Raises
     ------
-    UserError : not a table of numbers
+    UserError : not a table of finite numbers
     """
-    rows = read_rows(path)
+    rows = read_csv(path)
     try:
-        return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]} if rows else {}
+        columns = {key: np.array([float(row[key]) for row in rows]) for key in rows[0]} if rows else {}
     except ValueError as error:
         raise UserError(f"{path} is damaged: {error}") from None
+    if bad := not_finite(columns):
+        raise UserError(f"{path} is damaged: {bad} has numbers that are not finite")
+    return columns
+
+
+def rows_until(path: Path, begin: int, end: int, batch: int, levels: tuple[str, ...]) -> list[dict[str, str]]:
+    """Read the rows of a run's progress.csv that belong to its checkpoint.
+
+    A run that was killed between the two has a row more, which is repeated.
+
+    Parameters
+    ----------
+    path : of progress.csv
+    begin, end : environment steps at which the run began and of its checkpoint
+    batch : steps of an iteration
+    levels : columns beyond PROGRESS
+
+    Raises
+    ------
+    UserError : a row is damaged, missing or there twice
+    """
+    if end == begin:
+        return []  # stopped before its first iteration
+    advice = f"put it back as it was, or delete {path.parent} to start anew"
+    if not path.is_file():
+        raise UserError(f"{path} is missing: {advice}")
+    try:
+        progress = read_progress(path)
+    except UserError as error:
+        raise UserError(f"{error}; {advice}") from None
+    if list(progress) != [*PROGRESS, *levels]:
+        raise UserError(f"{path} is damaged: it has other columns, or no rows; {advice}")
+    count = int(np.count_nonzero(progress["steps"] <= end))
+    if not np.array_equal(progress["steps"][:count], np.arange(begin + batch, end + 1, batch)):
+        raise UserError(f"{path} is damaged: its rows are not those of {end} steps; {advice}")
+    return read_csv(path)[:count]
 
 
 def processor() -> str:
@@ -95,15 +102,17 @@ def versions() -> dict[str, str]:
 class ProgressLog:
     """The progress bar and progress.csv of one run; averages over the last 200 episodes.
 
-    ``done`` of its ``total`` steps are spent when it begins; ``rows`` are those of before.
+    ``done`` of its ``total`` steps are spent when it begins; ``rows`` are those of before, and
+    ``episodes`` (n, 4) the last that were played, as :meth:`last_episodes` gives them.
     """
 
-    def __init__(self, name: str, folder: Path, rows: list[dict], done: int, total: int, quiet: bool):
+    def __init__(
+        self, name: str, folder: Path, rows: list[dict], episodes: np.ndarray, done: int, total: int, quiet: bool
+    ):
         from tqdm import tqdm
 
         self.path, self.rows, self.episodes = folder / "progress.csv", rows, deque(maxlen=200)
-        if rows:  # a run that goes on has the averages of before until 200 more episodes have ended
-            self.episodes.extend([self._average_episode(rows[-1])] * 200)
+        self.episodes.extend(dict(zip(EPISODE, episode.tolist(), strict=True)) for episode in episodes)
         self.written = 0
         self.bar = tqdm(
             total=total,
@@ -111,8 +120,8 @@ class ProgressLog:
             desc=name,
             unit="step",
             unit_scale=True,
-            disable=quiet,
-            mininterval=0.5 if sys.stderr.isatty() else 30.0,
+            disable=quiet or sys.stderr is None,
+            mininterval=0.5 if sys.stderr and sys.stderr.isatty() else 30.0,
         )
 
     def add(self, record: dict, wall_seconds: float, level: float, levels: dict[str, float]) -> None:
@@ -136,16 +145,9 @@ class ProgressLog:
         )
         self.bar.update(record["steps"] - self.bar.n)
 
-    @staticmethod
-    def _average_episode(row: dict) -> dict[str, float]:
-        """Return an episode that is as the averages of a row."""
-        length = float(row["episode_length"])
-        return {
-            "reward": float(row["reward"]),
-            "length": length,
-            "waypoints": float(row["waypoint_fraction"]) * NUM_WAYPOINTS,
-            "edge": float(row["edge_violation"]) * length,
-        }
+    def last_episodes(self) -> np.ndarray:
+        """Return the episodes behind the averages, (n, 4), n at most 200, columns as in EPISODE."""
+        return np.array([[e[key] for key in EPISODE] for e in self.episodes], float).reshape(-1, len(EPISODE))
 
     def write(self) -> None:
         """Bring progress.csv up to date: the first call writes it anew, later ones add their rows."""
@@ -157,9 +159,21 @@ class ProgressLog:
                 file.write("".join(lines))
         self.written = len(self.rows)
 
-    def close(self) -> None:
-        """Finish the progress bar."""
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exc) -> None:
         self.bar.close()
+
+
+def attempt(draw: Callable, *args) -> bool:
+    """Draw a picture that decorates other results: one that fails is a warning, and never their end."""
+    try:
+        draw(*args)
+    except Exception as error:  # whatever a drawing library may raise
+        print(f"warning: no {args[1]}: {type(error).__name__}: {error}", file=sys.stderr)
+        return False
+    return True
 
 
 class StopRequest:

@@ -4,7 +4,8 @@
 
 Files are written under a temporary name and renamed (progress.csv grows a row at a time), DONE last.  A run of PPO that
 was stopped goes on from its folder, the short ones that imitate start anew; a finished one is never overwritten unless
-told to.
+told to, and then stays until the new one, in the folder ``.seed<k>.new`` beside it, is finished.  One process at a time
+writes a run.
 
 In:  the name of a policy, a preset and a seed.
 Out: the folder, from which :mod:`agility_ref.training.bank` loads the policy.
@@ -18,17 +19,14 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.curriculum import Curriculum, CurriculumConfig, find_preset, training_world
 from agility_ref.env import ACTION_DIM, Go1Env
-from agility_ref.errors import UserError
-from agility_ref.networks import Categorical, Gaussian
-from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS, sight
-from agility_ref.policy import Policy, read_npz, write_npz
+from agility_ref.errors import UserError, require_at_least
+from agility_ref.files import remove_partials, write_csv, write_text
+from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOTS, Mirror
+from agility_ref.policy import Policy, beyond_use, read_npz, write_npz
 from agility_ref.ppo import Learner, PPOConfig, train
 from agility_ref.selector import (
-    SelectorConfig,
     SelectorEnv,
     Single,
     SupervisedConfig,
@@ -45,13 +43,19 @@ from agility_ref.training.bank import (
     find_weights,
     load_bank,
     other_skills,
+    replaced,
     run_folder,
+    unfinished,
     weights_path,
 )
 from agility_ref.training.distill import DistillConfig, FineTuneConfig, collect_actions, fit_student
-from agility_ref.training.limits import check_settings
+from agility_ref.training.lock import locked
 from agility_ref.training.policies import PolicySpec, find_policy, requirements
-from agility_ref.training.progress import ProgressLog, StopRequest, read_rows, versions, write_csv, write_text
+from agility_ref.training.progress import EPISODE, ProgressLog, StopRequest, attempt, rows_until, versions
+from agility_ref.training.sight import sight
+from agility_ref.training.state import check_arrays, go_on, learner_state, policy_arrays, robots_state, warm_start
+
+import numpy as np
 
 Draw = Callable[[Path, Path, str], object]
 """(progress.csv, the picture to write, title) -> whatever."""
@@ -75,8 +79,8 @@ class TrainConfig(WeightsConfig):
     """Hyper-parameters of PPO."""
     curriculum: CurriculumConfig = CurriculumConfig()
     """The levels."""
-    selector: SelectorConfig = SelectorConfig()
-    """Decisions of the learned selectors."""
+    selector_ent_coef: float = 0.01
+    """Entropy bonus of the PPO selectors, against mode collapse; usual 0.005 to 0.05."""
     supervised: SupervisedConfig = SupervisedConfig()
     """Training of the supervised selector."""
     distill: DistillConfig = DistillConfig()
@@ -84,9 +88,13 @@ class TrainConfig(WeightsConfig):
     fine_tune: FineTuneConfig = FineTuneConfig()
     """How PPO goes on from it."""
 
+    def __post_init__(self):
+        require_at_least(0, seed=self.seed, steps=self.steps)
+        require_at_least(1e-9, warm_std=self.warm_std)
+
 
 def train_policy(name: str, config: TrainConfig, quiet: bool = False, draw: Draw | None = None) -> Path:
-    """Train one policy and everything it needs that is missing; return its folder.
+    """Train one policy and everything it needs that is missing or unfinished; return its folder.
 
     Parameters
     ----------
@@ -97,43 +105,72 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False, draw: Draw
 
     Raises
     ------
-    UserError : unknown names, settings out of range, a finished run in the way
+    UserError : unknown names, settings out of range, a finished run or another process in the way, damaged files,
+        numbers that are no longer finite
     """
     spec = find_policy(name)
     find_preset(config.preset)
-    check_settings(spec, config)
     if spec.method == "oracle":
         raise UserError(
             "the oracle needs no training: it reads the region map; train its skills: " + ", ".join(spec.skills)
         )
-    if (config.env.gait_clock or config.ppo.mirror) and spec.method != "ppo":
-        raise UserError("env.gait-clock and ppo.mirror are for skills and generalists")
-    if config.env.gait_clock and config.ppo.mirror:
-        raise UserError("env.gait-clock does not go with ppo.mirror")
-    folder = run_folder(config.root, name, config.seed)
-    aside, replaces = folder.with_name(f"{folder.name}.old"), (folder / "DONE").exists()
-    if replaces:
-        if not config.overwrite:
-            raise UserError(f"{folder} holds a finished run; choose another --out, or --overwrite to replace it")
-        shutil.rmtree(aside, ignore_errors=True)
-        folder.rename(aside)  # until the new run is finished
-    try:
-        needs = requirements(name) if config.warm_start else spec.skills + spec.teachers
-        for other in needs:
-            if find_weights(other, config) is None:
-                train_policy(other, replace(config, steps=0, overwrite=False), quiet, draw)
-        folder.mkdir(parents=True, exist_ok=True)
-        if spec.method in ("supervised", "distilled"):
-            _imitate(spec, config, folder, quiet)
-        else:
-            _train_ppo(spec, config, folder, quiet, draw)
-    except BaseException:
-        if replaces and not (folder / "policy.npz").exists():  # nothing was learned that could be gone on with
-            shutil.rmtree(folder, ignore_errors=True)
-            aside.rename(folder)
-        raise
-    shutil.rmtree(aside, ignore_errors=True)
+    return _train_in_its_folder(spec, config, quiet, draw)
+
+
+def _train_in_its_folder(
+    spec: PolicySpec, config: TrainConfig, quiet: bool, draw: Draw | None, needed: bool = False
+) -> Path:
+    """Train a policy while nobody else does; one that another run ``needed`` may be there by the time it is ours."""
+    folder = run_folder(config.root, spec.name, config.seed)
+    with locked(folder, wait=needed, quiet=quiet):
+        new, old = folder.with_name(f".{folder.name}.new"), replaced(folder)
+        if old.exists():  # a process died while it put a new run in the place of a finished one
+            _replace(folder, new, old)
+        work = folder
+        if (folder / "DONE").exists():
+            if needed:
+                return folder
+            if not config.overwrite:
+                raise UserError(f"{folder} holds a finished run; choose another --out, or --overwrite to replace it")
+            work = new  # the finished run stays where it is until this one is
+        begun = work.exists()
+        try:
+            _prepare(spec, config, quiet, draw)
+            work.mkdir(parents=True, exist_ok=True)
+            remove_partials(work)
+            if spec.method in ("supervised", "distilled"):
+                _imitate(spec, config, work, quiet)
+            else:
+                _train_ppo(spec, config, work, quiet, draw)
+        except BaseException:
+            if not begun and work.exists() and not (work / "policy.npz").exists():  # nothing to go on from
+                shutil.rmtree(work)
+            raise
+        if work == new:
+            folder.rename(old)
+            _replace(folder, new, old)
     return folder
+
+
+def _replace(folder: Path, new: Path, old: Path) -> None:
+    """Put the finished run ``new`` at ``folder``, from which ``old`` has been set aside, and delete ``old``."""
+    if not folder.exists():
+        new.rename(folder)
+    shutil.rmtree(old)
+
+
+def _prepare(spec: PolicySpec, config: TrainConfig, quiet: bool, draw: Draw | None) -> None:
+    """Train what a policy needs and what is not there; say which of the rest is shipped."""
+    shipped = []
+    for other in requirements(spec.name) if config.warm_start else spec.skills + spec.teachers:
+        own = run_folder(config.root, other, config.seed)
+        if unfinished(own) or find_weights(other, config) is None:
+            theirs = replace(config, steps=0, overwrite=False)
+            _train_in_its_folder(find_policy(other), theirs, quiet, draw, needed=True)
+        elif not own.exists():
+            shipped.append(other)
+    if shipped and not quiet:
+        print(f"{spec.name}: none of {config.root}, so from the shipped weights: {' '.join(shipped)}", flush=True)
 
 
 def _write_config(spec: PolicySpec, config: TrainConfig, folder: Path) -> None:
@@ -157,63 +194,76 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
     total = config.steps or spec.steps(config.preset)
     ppo = config.ppo
     selector = spec.method == "ppo-selector"
-    hold = config.selector.decision_steps if selector else 1
     if selector:
-        ppo = replace(ppo, ent_coef=config.selector.ent_coef, gamma=ppo.gamma**hold)
+        ppo = replace(ppo, ent_coef=config.selector_ent_coef)
         config = replace(config, curriculum=replace(config.curriculum, enabled=False))
     elif _goes_on_from_distilled(spec) and config.warm_start:
         ppo = config.fine_tune.apply(ppo)
-    env, curriculum = make_env(spec, config)
-    act_dim = len(spec.skills) if selector else ACTION_DIM
-    distribution = Categorical if selector else Gaussian
+    robots, curriculum = make_env(spec, config)
+    # What is seen mirrored asks for the same skill, and for the mirrored action.
+    act_mirror = Mirror.identity(len(spec.skills)) if selector else ACTION_MIRROR
     seen = {}
     if config.sight and not selector:  # which chooses on all courses and is to see them as they are
-        seen["seen.low"], seen["seen.high"] = sight(env.world, config.env.obs_dim)
-    learner = Learner.create(config.env.obs_dim, act_dim, ppo, config.seed, distribution, fixed=SCANDOTS)
+        seen["seen.low"], seen["seen.high"] = sight(robots.world)
+    learner = Learner.create(OBS_MIRROR, act_mirror, ppo, config.seed, selector, fixed=SCANDOTS)
     skills = load_bank(spec.skills, config)
     bank = digests(skills)
+    env = robots
     if selector:
-        env = SelectorEnv(env, oracle_hierarchy(spec.name, skills), spec.reward, config.selector, config.ppo.gamma)
-    rows = _resume_or_warm_start(spec, config, folder, learner, curriculum, bank)
+        env = SelectorEnv(robots, oracle_hierarchy(spec.name, skills), spec.reward)
+    batch = ppo.batch_size
+    kinds = [f"level_{kind}" for kind in spec.courses] if len(spec.courses) > 1 and config.curriculum.enabled else []
+    rows, episodes = _resume_or_warm_start(spec, config, folder, learner, robots, curriculum, bank, batch, kinds)
     if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
     _write_config(spec, config, folder)
-    log = ProgressLog(spec.name, folder, rows, learner.steps, total, quiet)
-    kinds = [f"level_{kind}" for kind in spec.courses] if len(spec.courses) > 1 and config.curriculum.enabled else []
+    log = ProgressLog(spec.name, folder, rows, episodes, learner.steps, total, quiet)
     stop = StopRequest()
     last_drawn = time.monotonic()
     start = last_drawn - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
 
     def save(compress: bool) -> None:
-        arrays = learner.arrays() | learner.training_arrays() | seen
-        arrays |= {f"curriculum.{name}": value for name, value in curriculum.state().items()}
+        arrays = policy_arrays(learner) | learner_state(learner) | robots_state(robots, curriculum) | seen
+        arrays |= {"progress.episodes": log.last_episodes()}
+        if bad := beyond_use(arrays):
+            raise _diverged(folder, bad, learner, batch)
         meta = {
             "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": learner.steps,
-            "start": learner.start, "courses": spec.courses, "act_dim": act_dim, "obs_dim": config.env.obs_dim,
-            "versions": versions(), "wall_seconds": time.monotonic() - start, "decision_steps": hold, "config": asdict(config),
+            "start": learner.start, "courses": spec.courses, "act_dim": len(act_mirror.index), "obs_dim": OBS_DIM,
+            "versions": versions(), "wall_seconds": time.monotonic() - start, "config": asdict(config),
             "skills": bank,
         }  # fmt: skip
         log.write()
         write_npz(folder / "policy.npz", arrays, meta, compress)
 
-    with stop:
-        for record in train(env, learner, total, stop.requested):
-            # PPO has counted decisions; budgets are in control steps.
-            learner.steps += (hold - 1) * ppo.batch_size
-            record |= {"steps": learner.steps, "steps_per_second": hold * record["steps_per_second"]}
-            levels = dict(zip(kinds, curriculum.mean_levels(), strict=False))
-            log.add(record, time.monotonic() - start, curriculum.mean_level(), levels)
+    with stop, log, np.errstate(over="ignore", invalid="ignore"):  # what is no longer finite is found below
+        for record in train(env, learner, total, stop.requested, robots.observation if rows else None):
+            if bad := next((key for key, value in record.items() if key != "episodes" and not np.isfinite(value)), ""):
+                raise _diverged(folder, bad, learner, batch)
+            levels = curriculum.levels()
+            by_kind = dict(zip(kinds, levels, strict=False))
+            log.add(record, time.monotonic() - start, float(levels.mean()), by_kind)
             save(compress=False)  # every time: even a killed run loses no more than one iteration
             if draw and time.monotonic() - last_drawn > 60.0:
                 last_drawn = time.monotonic()
-                draw(folder / "progress.csv", folder / "learning_curve.png", spec.name)
-        log.close()
+                attempt(draw, folder / "progress.csv", folder / "learning_curve.png", spec.name)
         save(compress=True)
     if learner.steps < total:
         raise KeyboardInterrupt(f"stopped at {learner.steps} of {total} steps; the same command goes on from {folder}")
     if draw:
-        draw(folder / "progress.csv", folder / "learning_curve.png", spec.name)
+        attempt(draw, folder / "progress.csv", folder / "learning_curve.png", spec.name)
     write_text(folder / "DONE", f"{learner.steps} steps\n")
+
+
+def _diverged(folder: Path, quantity: str, learner: Learner, batch: int) -> UserError:
+    kept = (
+        f"{folder} keeps the policy of the iteration before" if (folder / "policy.npz").exists() else "nothing was kept"
+    )
+    iteration = (learner.steps - learner.start) // batch
+    return UserError(
+        f"training has diverged: {quantity} is not finite, or huge, in iteration {iteration}, at {learner.steps} steps; "
+        f"{kept}; try smaller learning rates or reward weights, and another --out"
+    )
 
 
 def _resume_or_warm_start(
@@ -221,10 +271,13 @@ def _resume_or_warm_start(
     config: TrainConfig,
     folder: Path,
     learner: Learner,
+    robots: Go1Env,
     curriculum: Curriculum,
     bank: dict[str, str],
-) -> list[dict]:
-    """Load the folder's checkpoint, or the warm start; return the progress so far."""
+    batch: int,
+    levels: list[str],
+) -> tuple[list[dict], np.ndarray]:
+    """Load the folder's checkpoint, or the warm start; return the progress so far and the last episodes."""
     saved = folder / "policy.npz"
     if saved.exists():
         arrays, meta = read_npz(saved)
@@ -234,18 +287,17 @@ def _resume_or_warm_start(
                 raise UserError(f"{folder} was started with {flag} {began}, not {ours}; give that, or another --out")
         for other in other_skills(meta, bank):
             raise UserError(f"{folder} was started over another {other}; give its folder, or another --out")
-        if not {"curriculum.level", "normalizer.count"} <= arrays.keys():
-            raise UserError(f"{saved} can act but not be trained further: it lacks the state of a training run")
-        learner.load_arrays(arrays)
+        check_arrays(saved, arrays, learner, robots, curriculum)
         learner.steps, learner.start = meta["steps"], meta.get("start", 0)
-        learner.generator.manual_seed(config.seed + learner.steps)  # not the noise of the first part again
-        curriculum.load_state({"level": arrays["curriculum.level"]})
-        log = folder / "progress.csv"  # none where it was stopped before the first iteration
-        return [row for row in read_rows(log) if int(row["steps"]) <= learner.steps] if log.exists() else []
+        rows = rows_until(folder / "progress.csv", learner.start, learner.steps, batch, tuple(levels))
+        go_on(arrays, learner, robots, curriculum)
+        return rows, arrays["progress.episodes"]
     if spec.warm_start and config.warm_start:
         source = weights_path(spec.warm_start, config)
         arrays, meta = read_npz(source)
         check_interface(source, meta, config.env)
+        if "net.log_std" not in arrays and "net.actor.even.0.weight" not in arrays:
+            raise UserError(f"{source} holds a network without symmetry; train {spec.warm_start} anew, with --out")
         hidden = tuple(meta.get("config", {}).get("ppo", {}).get("hidden", config.ppo.hidden))
         if hidden != tuple(config.ppo.hidden):
             raise UserError(
@@ -254,8 +306,8 @@ def _resume_or_warm_start(
             )
         # A distilled policy knows its way: noise as after a walk would only throw it off.
         std = config.fine_tune.std if _goes_on_from_distilled(spec) else config.warm_std
-        learner.warm_start(arrays, meta["steps"], std, config.fine_tune.critic_steps)
-    return []
+        warm_start(learner, arrays, meta["steps"], std, config.fine_tune.critic_steps)
+    return [], np.zeros((0, len(EPISODE)))
 
 
 def _imitate(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -> None:
@@ -272,8 +324,7 @@ def _imitate(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -
     }  # fmt: skip
     if spec.method == "supervised":
         how, loss = config.supervised, "cross_entropy"
-        meta |= {"obs_dim": NUM_SCANDOTS, "act_dim": len(bank), "decision_steps": config.selector.decision_steps}
-        meta["skills"] = digests(bank)
+        meta |= {"obs_dim": NUM_SCANDOTS, "act_dim": len(bank), "skills": digests(bank)}
         collect = collect_labels
         fit = partial(fit_selector, num_skills=len(bank), config=how, seed=config.seed)
         student = partial(selector_hierarchy, spec.name, bank)
@@ -296,6 +347,10 @@ def _imitate(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -
         rows += [{"round": k, "states": states, "epoch": e, loss: v} for e, v in enumerate(losses)]
         if not quiet:
             print(f"{spec.name}: round {k}, {states} states, {loss.replace('_', ' ')} {losses[-1]:.4f}", flush=True)
+    if bad := beyond_use(arrays):
+        raise UserError(
+            f"training has diverged: {bad} is not finite, or huge; try a smaller learning rate, and another --out"
+        )
     write_csv(folder / "progress.csv", rows)
     write_npz(folder / "policy.npz", arrays, meta)
     write_text(folder / "DONE", f"{states} states\n")

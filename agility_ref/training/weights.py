@@ -12,12 +12,13 @@ import sys
 from importlib import resources
 from pathlib import Path
 
-import numpy as np
-
 from agility_ref.errors import UserError
+from agility_ref.files import read_json, write_text
 from agility_ref.policy import read_npz, write_npz
 from agility_ref.training.policies import POLICIES, find_policy
-from agility_ref.training.progress import read_progress, write_text
+from agility_ref.training.progress import read_progress
+
+import numpy as np
 
 WARM_STARTS = {spec.warm_start for spec in POLICIES.values()}
 FOLDER = Path(str(resources.files("agility_ref") / "weights"))
@@ -49,10 +50,20 @@ def manifest(folder: Path = FOLDER) -> dict[str, dict]:
     UserError : it is damaged
     """
     path = folder / "manifest.json"
+    if not path.exists():
+        return {}
     try:
-        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    except ValueError as error:
-        raise UserError(f"{path} is damaged ({error}); reinstall the package") from None
+        entries = read_json(path)
+    except UserError as error:
+        raise UserError(f"{error}; reinstall the package") from None
+    for name, entry in entries.items():
+        curve = entry.get("curve", {}) if isinstance(entry, dict) else None
+        columns = list(curve.values()) if isinstance(curve, dict) else [None]
+        if not all(isinstance(c, list) and all(type(x) in (int, float) for x in c) for c in columns) or (
+            len({len(column) for column in columns}) > 1
+        ):
+            raise UserError(f"{path} is damaged: its entry {name[:80]!r} is no training record; reinstall the package")
+    return entries
 
 
 def shipped(preset: str, policy: str, seed: int, folder: Path = FOLDER) -> Path | None:
@@ -72,7 +83,7 @@ def shipped(preset: str, policy: str, seed: int, folder: Path = FOLDER) -> Path 
 
 
 def shipped_curve(path: Path) -> dict[str, np.ndarray]:
-    """Return the learning curve of a shipped file, thinned, one array a column; empty where its manifest has none."""
+    """Return the learning curve of a shipped file, thinned, one array per column; empty where its manifest has none."""
     entry = manifest(path.parent).get(path.name, {})
     return {key: np.array(values) for key, values in entry.get("curve", {}).items()}
 
@@ -94,7 +105,7 @@ def ship(run: Path, folder: Path = FOLDER) -> Path:
         raise UserError(f"{run} holds no finished run")
     arrays, meta = read_npz(run / "policy.npz")
     # Critics are half of a file, and only training that starts from a policy asks for one.
-    dropped = ("optimizer.", "curriculum.") + (() if meta["policy"] in WARM_STARTS else ("critic.",))
+    dropped = ("optimizer.", "curriculum.") + (() if meta["policy"] in WARM_STARTS else ("net.", "normalizer.count"))
     kept = {name: a for name, a in arrays.items() if not name.startswith(dropped)}
     path = folder / file_name(meta["preset"], meta["policy"], meta["seed"])
     write_npz(path, kept, {key: value for key, value in meta.items() if key != "schema"})

@@ -6,13 +6,14 @@ import subprocess
 import sys
 from dataclasses import fields
 
-import numpy as np
-import pytest
-
 from agility_ref import __version__
 from agility_ref.cli.main import COMMANDS, PLOTS, Command, main, options_of
 from agility_ref.evaluate import METRICS
+from agility_ref.policy import read_npz, write_npz
 from agility_ref.training.policies import POLICIES
+
+import numpy as np
+import pytest
 
 
 @pytest.fixture(autouse=True)
@@ -127,7 +128,8 @@ def test_a_checkpoint_of_another_shape(refuses, tmp_path, finished_run):
 def test_resuming_what_was_never_trained_here(refuses, tmp_path, finished_run):
     (finished_run(tmp_path, "walk") / "DONE").unlink()  # one hidden layer of 16 units
     (tmp_path / "walk" / "seed0" / "progress.csv").write_text("steps,wall_seconds\n")
-    refuses(f"train walk --out {tmp_path} --ppo.num-envs 2 --curriculum.num-levels 1 --steps 5000", "lacks the state")
+    command = f"train walk --out {tmp_path} --ppo.hidden 16 --ppo.num-envs 2 --curriculum.num-levels 1 --steps 5000"
+    refuses(command, "lacks the state")
 
 
 def test_resuming_under_another_preset(refuses, tmp_path, finished_run):
@@ -247,7 +249,11 @@ def test_table1_with_nothing_trained_leaves_the_table_that_is_there(capsys, tmp_
     results = tmp_path / "results"
     results.mkdir()
     (results / "table1.csv").write_text("a table")
-    assert main(f"table1 --runs {tmp_path} --results {results} --episodes 1".split()) == 2
+    (runs := tmp_path / "runs").mkdir()
+    assert main(f"table1 --runs {runs} --results {results} --episodes 1".split()) == 2
+    assert f"no runs in {runs}" in capsys.readouterr().err
+    (runs / "walk" / "seed5").mkdir(parents=True)
+    assert main(f"table1 --runs {runs} --results {results} --episodes 1".split()) == 2
     assert "not one cell to fill" in (err := capsys.readouterr().err) and "no weights for" in err
     assert (results / "table1.csv").read_text() == "a table" and len(list(results.iterdir())) == 1
 
@@ -368,3 +374,32 @@ def test_a_table_is_refused_before_it_is_trained(monkeypatch, capsys):
     monkeypatch.setattr("agility_ref.results.table1.train_all", lambda *args: pytest.fail("trained"))
     assert main("table1 --train --episodes 0".split()) == 2
     assert "episodes must be at least 1, not 0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("flags, message", [
+    ("--ppo.num-envs 0", "num-envs must be a number of at least 1, not 0"),
+    ("--ppo.num-envs 2 --ppo.num-steps 3 --ppo.num-minibatches 7", "num-minibatches must be at most 6 steps, not 7"),
+    ("--ppo.hidden 64 7", "hidden must be even numbers of units, for they come in pairs, not (64, 7)"),
+    ("--ppo.init-std nan", "init-std must be a number of at least 1e-09, not nan"),
+    ("--ppo.learning-rate -1", "learning-rate must be a number of at least 1e-09, not -1.0"),
+    ("--env.noise -1", "noise must be a number of at least 0, not -1.0"),
+    ("--env.command-low 0.9 --env.command-high 0.8", "command-high must be a number of at least 0.9, not 0.8"),
+    ("--env.physics.substeps 0", "substeps must be a number of at least 1, not 0"),
+    ("--env.physics.timestep 0", "timestep must be a number of at least 1e-05, not 0.0"),
+    ("--curriculum.variants 0", "variants must be a number of at least 1, not 0"),
+    ("--seed -1", "seed must be a number of at least 0, not -1"),
+    ("--steps -5", "steps must be a number of at least 0, not -5"),
+    ("--warm-std nan", "warm-std must be a number of at least 1e-09, not nan"),
+])  # fmt: skip
+def test_settings_that_no_run_can_be_made_with_are_one_line(refuses, tmp_path, flags, message):
+    assert refuses(f"train walk {flags}") == f"agility-ref: {message}\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_start_from_a_network_without_symmetry_is_one_line(refuses, tmp_path, finished_run):
+    path = finished_run(tmp_path, "walk") / "policy.npz"
+    arrays, meta = read_npz(path)
+    dense = {name: array for name, array in arrays.items() if not name.startswith(("net.", "optimizer."))}
+    write_npz(path, dense, {key: meta[key] for key in meta if key != "schema"})
+    command = f"train climb --out {tmp_path} --ppo.hidden 16 --ppo.num-envs 2 --curriculum.num-levels 1"
+    refuses(command, f"{path} holds a network without symmetry; train walk anew, with --out")

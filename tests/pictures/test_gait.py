@@ -1,6 +1,3 @@
-import numpy as np
-import pytest
-
 from agility_ref.curriculum import PRESETS
 from agility_ref.evaluate import EvaluationConfig
 from agility_ref.go1 import FOOT_RADIUS
@@ -10,6 +7,9 @@ from agility_ref.terrain import make_course
 from agility_ref.training import weights
 from agility_ref.training.bank import load_policy
 from agility_ref.training.runs import TrainConfig
+
+import numpy as np
+import pytest
 
 # The presets whose walk is held to the bounds below; the budget of quick is too short for a gait.
 HELD = ("full",)

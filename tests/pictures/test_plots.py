@@ -1,12 +1,6 @@
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-import mujoco
-import numpy as np
-import pytest
-from conftest import random_arrays
-from PIL import Image
-
 from agility_ref.cli.main import PLOTS, main
 from agility_ref.evaluate import EvaluationConfig
 from agility_ref.go1 import FOOT_RADIUS, make_model
@@ -30,6 +24,12 @@ from agility_ref.terrain import COURSE_KINDS, make_course
 from agility_ref.training import weights
 from agility_ref.training.progress import read_progress
 from agility_ref.world import height_map
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import random_arrays
+from PIL import Image
 
 CONFIG = EvaluationConfig(difficulty=0.3)
 COLUMNS = ("steps", "wall_seconds", "steps_per_second", "reward", "waypoint_fraction", "level")

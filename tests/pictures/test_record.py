@@ -1,6 +1,3 @@
-import numpy as np
-import pytest
-
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig, evaluate, evaluation_env
@@ -9,14 +6,17 @@ from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
 from agility_ref.terrain import SKILLS, make_course
 from agility_ref.world import World
 
+import numpy as np
+import pytest
+
 CONFIG = EvaluationConfig(difficulty=0.3, seed=4)
 
 
 @pytest.fixture(scope="module")
 def random_policy():
-    from conftest import random_arrays
-
     from agility_ref.policy import Policy
+
+    from conftest import random_arrays
 
     return Single("random", Policy.from_arrays(random_arrays(0, gain=100.0), {"policy": "random", "act_dim": 12}))
 
@@ -57,7 +57,7 @@ def test_recording_is_what_the_environment_did(random_policy):
         assert reward[0] == pytest.approx(episode.reward[t], abs=1e-12)
     assert (terminated | truncated)[0]
     assert bool(terminated[0]) == episode.fell
-    assert info["episode"]["waypoints"][0] == episode.reached
+    assert info["totals"]["waypoints"][0] == episode.reached
 
 
 def test_no_row_of_the_next_episode_slips_in(episodes):
@@ -106,7 +106,7 @@ def episodes_of(hierarchy, environment="climb-gap"):
 
 @pytest.mark.parametrize("environment", ["climb-gap", "beam"])
 def test_a_recording_is_the_evaluation_step_by_step(five_skills, environment):
-    hierarchy = Hierarchy("leaper", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3))
+    hierarchy = Hierarchy("leaper", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3), np.arange(5))
     played, evaluation = episodes_of(hierarchy, environment), evaluate(hierarchy, environment, FEW, SHORT)
     np.testing.assert_array_equal([e.reached / 8 for e in played], evaluation.waypoint_fraction)
     np.testing.assert_array_equal(list(map(len, played)), evaluation.episode_length)
@@ -126,7 +126,7 @@ def test_shapes_and_ends(five_skills):
                 env._qpos[0, 1] = 5.0
             return super().act(observation, env)
 
-    played = episodes_of(Jump("jump", tuple(five_skills.values()), lambda o, env: np.full(len(o), 1)))
+    played = episodes_of(Jump("jump", tuple(five_skills.values()), lambda o, env: np.full(len(o), 1), np.arange(5)))
     assert [len(e) for e in played] == [3, 30, 30]
     np.testing.assert_array_equal(side_by_side(played, "skill", -1)[:, 0], [1] * 3 + [-1] * 27)
     assert side_by_side(played, "qvel").shape == (30, 3, 18) and not side_by_side(played, "qvel")[3:, 0].any()

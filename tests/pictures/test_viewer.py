@@ -12,11 +12,6 @@ import threading
 import time
 import urllib.request
 
-import numpy as np
-import pytest
-from conftest import random_arrays
-from PIL import Image
-
 from agility_ref.cli.main import main
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig
@@ -25,6 +20,11 @@ from agility_ref.pictures.record import record
 from agility_ref.pictures.viewer import DOWN, LEFT, SPACE, UP, Session, press
 from agility_ref.policy import Policy
 from agility_ref.selector import Single, oracle_hierarchy
+
+import numpy as np
+import pytest
+from conftest import random_arrays
+from PIL import Image
 
 CONFIG = EvaluationConfig(difficulty=0.3)
 SKILLS = ("walk", "climb-up", "climb-down", "leap", "beam")

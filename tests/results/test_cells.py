@@ -2,9 +2,6 @@ import ast
 import json
 from pathlib import Path
 
-import numpy as np
-import pytest
-
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS, Evaluation, EvaluationConfig
 from agility_ref.policy import read_npz, write_npz
@@ -12,6 +9,9 @@ from agility_ref.results import cells
 from agility_ref.results.cells import SOURCES, cell_path, enter, find_cell, origin, seeds_of, stack, steps_spent
 from agility_ref.training.runs import TrainConfig
 from agility_ref.training.weights import sha256
+
+import numpy as np
+import pytest
 
 FIVE = ("walk", "climb-up", "climb-down", "leap", "beam")
 CONFIG = EvaluationConfig(episodes=3, seed=4)

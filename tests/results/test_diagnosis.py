@@ -1,10 +1,6 @@
 import json
 from dataclasses import replace
 
-import numpy as np
-import pytest
-from PIL import Image
-
 from agility_ref import evaluate
 from agility_ref.cli.main import main
 from agility_ref.env import EnvConfig
@@ -28,6 +24,10 @@ from agility_ref.results.diagnosis import (
     wrong_share,
 )
 from agility_ref.terrain import SKILLS, Obstacle, make_course
+
+import numpy as np
+import pytest
+from PIL import Image
 
 # Five steps of two episodes, the second of three: skill chosen, skill the oracle wanted.
 CHOSEN = np.array([[0, 3], [0, 3], [3, 0], [3, -1], [1, -1]])

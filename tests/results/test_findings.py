@@ -1,9 +1,6 @@
 import json
 from math import isnan, nan
 
-import numpy as np
-import pytest
-
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS
 from agility_ref.results import findings
@@ -32,6 +29,9 @@ from agility_ref.results.findings import (
 from agility_ref.training import weights
 from agility_ref.training.policies import ENVIRONMENTS, POLICIES
 from agility_ref.training.runs import TrainConfig
+
+import numpy as np
+import pytest
 
 N = 40
 NOISE = np.random.default_rng(0).uniform(-0.2, 0.2, N)  # hard and easy courses, the same for every policy

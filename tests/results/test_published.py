@@ -1,10 +1,10 @@
 from collections import deque
 
-import numpy as np
-
 from agility_ref.evaluate import METRICS
 from agility_ref.results import published
 from agility_ref.results.published import as_published
+
+import numpy as np
 
 # Five steps of two robots that begin anew when an episode ends.  The first ends in steps 2 and 5,
 # the second in step 3; what it does after that is under way and does not count.

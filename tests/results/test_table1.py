@@ -6,10 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import mujoco
-import numpy as np
-import pytest
-
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS, Evaluation, EvaluationConfig
 from agility_ref.results import cells, table1
@@ -27,6 +23,10 @@ from agility_ref.results.table1 import (
 from agility_ref.stats import wilson_interval
 from agility_ref.training.policies import TABLE_ROWS
 from agility_ref.training.runs import TrainConfig
+
+import mujoco
+import numpy as np
+import pytest
 
 TWO = EvaluationConfig(episodes=2)
 

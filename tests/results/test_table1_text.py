@@ -2,8 +2,6 @@ import csv
 import math
 import re
 
-import pytest
-
 from agility_ref.evaluate import METRICS, EvaluationConfig
 from agility_ref.results.table1 import (
     NOTES,
@@ -19,6 +17,8 @@ from agility_ref.results.table1 import (
     title,
     write_all,
 )
+
+import pytest
 
 OURS = Summary(
     mean_std={"reward": (1.0, 2.0), "episode_length": (300.4, 50.0),
@@ -56,18 +56,18 @@ def test_format_value(value, metric, printed):
 
 
 @pytest.mark.parametrize("config, expected", [
-    (EvaluationConfig(), "Table 1, preset full, 64 episodes a cell, training seeds 0, 2"),
+    (EvaluationConfig(), "Table 1, preset full, 64 episodes per cell, training seeds 0, 2"),
     (EvaluationConfig(256, protocol="as-published"),
-     "Table 1, preset full, 256 robots a cell, counted as-published, training seeds 0, 2"),
+     "Table 1, preset full, 256 robots per cell, counted as-published, training seeds 0, 2"),
     (EvaluationConfig(8, preset="quick", difficulty=0.3, clean=True),
-     "Table 1, preset quick, 8 episodes a cell, difficulty 0.3, without noise and pushes, training seeds 0, 2"),
+     "Table 1, preset quick, 8 episodes per cell, difficulty 0.3, without noise and pushes, training seeds 0, 2"),
 ])  # fmt: skip
 def test_title(rows, config, expected):
     assert title(config, rows) == expected
 
 
 def test_title_without_weights():
-    assert title(EvaluationConfig(), fill(None)) == "Table 1, preset full, 64 episodes a cell"
+    assert title(EvaluationConfig(), fill(None)) == "Table 1, preset full, 64 episodes per cell"
 
 
 def test_markdown_has_a_line_a_row_in_both_tables(rows):

@@ -1,14 +1,14 @@
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError
 from agility_ref.observation import OBS_DIM
 from agility_ref.selector import Single
 from agility_ref.training.bank import find_weights, load_policy, run_folder, weights_path
 from agility_ref.training.runs import TrainConfig
+
+import numpy as np
+import pytest
 
 
 @pytest.fixture(autouse=True)

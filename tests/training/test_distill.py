@@ -1,16 +1,17 @@
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
-from agility_ref.observation import OBS_DIM, SCANDOTS
+from agility_ref.observation import ACTION_MIRROR, OBS_DIM, OBS_MIRROR, SCANDOTS
 from agility_ref.policy import Policy
-from agility_ref.ppo import PPOConfig
+from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
 from agility_ref.terrain import make_course
 from agility_ref.training.distill import DistillConfig, FineTuneConfig, collect_actions, fit_student
+from agility_ref.training.state import policy_arrays, warm_start
 from agility_ref.world import World
+
+import numpy as np
+import pytest
 
 SMALL = DistillConfig(epochs=20, batch_size=64, learning_rate=3e-3)
 
@@ -45,7 +46,7 @@ def test_as_many_states_as_asked_for_and_no_step_more(env, five_skills):
 
 def test_labels_are_the_teachers_actions_whoever_acts(five_skills, make_policy):
     env = Go1Env(World([make_course("gap", 0.5, 0)]), 3, EnvConfig(action_limit=1.0))
-    teacher = Hierarchy("leap", tuple(five_skills.values()), lambda obs, env: np.full(len(obs), 3))
+    teacher = Hierarchy("leap", tuple(five_skills.values()), lambda obs, env: np.full(len(obs), 3), np.arange(5))
     student = Single("student", make_policy(9))
     observations, actions = collect_actions(env, student, teacher, 30, 0.5)
     wanted = five_skills["leap"](observations)
@@ -79,6 +80,7 @@ def test_noise_changes_what_is_seen_next_and_not_the_first_state(five_skills):
 def test_a_student_learns_a_linear_teacher():
     x = states(2000)
     weights = np.random.default_rng(1).standard_normal((OBS_DIM, ACTION_DIM)) / OBS_DIM**0.5
+    weights = (weights + OBS_MIRROR(ACTION_MIRROR(weights).T).T) / 2  # a teacher that knows left from right: W M = M' W
     # Scandots are scaled by 1 / 0.3 and would be clipped at +-5: small ones here.
     x[:, SCANDOTS] *= 0.2
     y = (x @ weights).astype(np.float32)
@@ -93,11 +95,30 @@ def test_the_normaliser_is_that_of_the_states_seen():
     x = 3.0 + 2.0 * states(400)
     arrays, _ = fit_student(x, np.zeros((400, ACTION_DIM), np.float32), (8,), DistillConfig(epochs=1), 0)
     free = np.delete(np.arange(OBS_DIM), np.r_[SCANDOTS])
-    np.testing.assert_allclose(arrays["normalizer.mean"][free], x[:, free].mean(axis=0), rtol=1e-5)
-    np.testing.assert_allclose(arrays["normalizer.var"][free], x[:, free].var(axis=0), rtol=1e-5)
+    both = np.concatenate([x, OBS_MIRROR(x)])[:, free]
+    np.testing.assert_allclose(arrays["normalizer.mean"][free], both.mean(axis=0), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(arrays["normalizer.var"][free], both.var(axis=0), rtol=1e-5)
     np.testing.assert_allclose(arrays["normalizer.mean"][SCANDOTS], 0.0)
     np.testing.assert_allclose(arrays["normalizer.var"][SCANDOTS], 0.09)
     assert arrays["normalizer.count"] == 400
+
+
+def test_a_student_knows_left_from_right():
+    x, y = states(300), states(300, 1)[:, :ACTION_DIM]  # whatever the teacher does
+    student, _ = policy_of(x, y)
+    assert np.abs(student(x)).max() > 0.1
+    np.testing.assert_allclose(student(OBS_MIRROR(x)), ACTION_MIRROR(student(x)), atol=1e-5)
+
+
+def test_a_student_is_a_start_without_a_critic():
+    arrays, _ = fit_student(states(50), states(50, 1)[:, :ACTION_DIM], (8,), DistillConfig(epochs=1), 0)
+    learner = Learner.create(OBS_MIRROR, ACTION_MIRROR, PPOConfig(hidden=(8,)), 1, fixed=SCANDOTS)
+    critic = {name: p.detach().clone() for name, p in learner.net.critic.named_parameters()}
+    warm_start(learner, arrays, 50, 0.3, critic_steps=100)
+    for name, array in policy_arrays(learner).items():
+        np.testing.assert_array_equal(array, arrays[name], err_msg=name)
+    assert all(p.equal(critic[name]) for name, p in learner.net.critic.named_parameters())
+    assert learner.actor_start == 150 and learner.actor_rests and learner.normalizer.count == 50
 
 
 def test_a_seed_decides_the_student():

@@ -1,9 +1,9 @@
-import pytest
-
 from agility_ref.curriculum import PRESETS, find_preset
 from agility_ref.errors import UserError
 from agility_ref.terrain import COURSE_KINDS
 from agility_ref.training.policies import ALIASES, ENVIRONMENTS, POLICIES, TABLE_ROWS, find_policy, requirements
+
+import pytest
 
 
 def test_eleven_rows_four_environments():

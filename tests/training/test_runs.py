@@ -4,25 +4,28 @@ import re
 from dataclasses import replace
 from itertools import count
 
-import numpy as np
-import pytest
-
 from agility_ref.curriculum import CurriculumConfig
 from agility_ref.env import ACTION_DIM, EnvConfig
 from agility_ref.errors import UserError
+from agility_ref.files import read_csv
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.pictures.plots import learning_curve
-from agility_ref.policy import read_npz, write_npz
-from agility_ref.ppo import Learner, PPOConfig
+from agility_ref.policy import Policy, read_npz, write_npz
+from agility_ref.ppo import PPOConfig
 from agility_ref.rewards import RewardConfig
-from agility_ref.selector import Hierarchy, SelectorConfig, Single, SupervisedConfig
+from agility_ref.selector import Hierarchy, Single, SupervisedConfig
 from agility_ref.terrain import COURSE_KINDS
-from agility_ref.training import runs
-from agility_ref.training.bank import load_policy, run_folder
+from agility_ref.training import policies, runs, weights
+from agility_ref.training.bank import find_weights, load_policy, run_folder
 from agility_ref.training.distill import DistillConfig, FineTuneConfig
+from agility_ref.training.lock import locked
 from agility_ref.training.policies import find_policy
-from agility_ref.training.progress import PROGRESS, ProgressLog, read_progress, read_rows
+from agility_ref.training.progress import PROGRESS
 from agility_ref.training.runs import TrainConfig, train_policy
+from agility_ref.training.state import learner_state, policy_arrays
+
+import numpy as np
+import pytest
 
 BATCH = 8 * 4
 TINY = PPOConfig(num_envs=8, num_steps=4, hidden=(8,), update_epochs=1, num_minibatches=1)
@@ -95,7 +98,8 @@ def test_checkpoint_holds_what_training_needs(config):
     assert meta["policy"] == "walk" and meta["steps"] == 3 * BATCH and meta["seed"] == 0
     assert {"python", "numpy", "mujoco"} <= set(meta["versions"])
     assert arrays["normalizer.count"] == 3 * BATCH
-    assert "optimizer.actor.0.weight.exp_avg" in arrays and "curriculum.level" in arrays
+    assert "optimizer.actor.even.0.weight.exp_avg" in arrays
+    assert "curriculum.frontier" in arrays and "curriculum.score" in arrays
 
 
 def test_same_seed_same_run(config, tmp_path):
@@ -116,7 +120,7 @@ def test_the_learning_curve_is_redrawn_along_the_way(config, monkeypatch):
     clock, drawn = count(0.0, 10.0), []
     monkeypatch.setattr(runs.time, "monotonic", lambda: next(clock))
     config = replace(config, steps=6 * BATCH)
-    train_policy("walk", config, quiet=True, draw=lambda csv, png, name: drawn.append(len(read_rows(csv))))
+    train_policy("walk", config, quiet=True, draw=lambda csv, png, name: drawn.append(len(read_csv(csv))))
     assert 1 < len(drawn) < 7 and drawn == sorted(drawn) and drawn[0] < drawn[-1] == 6
 
 
@@ -179,19 +183,8 @@ def test_interrupt_saves_and_leaves_no_done(config, monkeypatch):
 
 def test_a_killed_run_loses_no_more_than_one_iteration(config, monkeypatch):
     # No signal handler has a say when a process is killed or the power fails, so what counts is what lies on disk.
-    class Killed(BaseException):
-        pass
-
-    step, steps = runs.Go1Env.step, []
-
-    def killed(self, action):
-        steps.append(1)
-        if len(steps) == 2 * TINY.num_steps + 3:  # in the third iteration
-            raise Killed
-        return step(self, action)
-
-    monkeypatch.setattr(runs.Go1Env, "step", killed)
-    with pytest.raises(Killed):
+    with monkeypatch.context() as patch, pytest.raises(SystemExit):
+        killed_in_iteration(3, patch)
         train_policy("walk", replace(config, steps=4 * BATCH), quiet=True)
     folder = run_folder(config.root, "walk", 0)
     assert read_npz(folder / "policy.npz")[1]["steps"] == 2 * BATCH
@@ -205,18 +198,6 @@ def test_resuming_with_another_network_is_refused(config):
     (folder / "DONE").unlink()
     with pytest.raises(UserError, match=r"started with ppo\.hidden \[8\], not \[6\]"):
         train_policy("walk", replace(config, steps=5 * BATCH, ppo=replace(TINY, hidden=(6,))), quiet=True)
-
-
-def test_a_learner_refuses_the_arrays_of_another_network():
-    eight, six = (Learner.create(5, 2, replace(TINY, hidden=(units,)), seed=0) for units in (8, 6))
-    with pytest.raises(UserError, match=r"actor\.0\.weight of shape \(8, 5\), this network \(6, 5\)"):
-        six.load_arrays(eight.arrays())
-
-
-def test_settings_are_checked_before_anything_is_written(config):
-    with pytest.raises(UserError, match=r"env\.push-interval must be at least 0"):
-        train_policy("walk", replace(config, env=EnvConfig(push_interval=-1.0)), quiet=True)
-    assert not run_folder(config.root, "walk", 0).exists()
 
 
 def test_a_fault_before_the_first_iteration_leaves_the_finished_run(config, monkeypatch):
@@ -258,6 +239,215 @@ def test_a_refused_overwrite_keeps_the_finished_run(config):
         assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     train_policy("leap", replace(config, overwrite=True, steps=6 * BATCH), quiet=True)
     assert steps_of(folder)[-1] == 6 * BATCH and [path.name for path in folder.parent.iterdir()] == ["seed0"]
+
+
+def test_only_the_run_that_was_named_is_replaced(config):
+    folder = train_policy("walk", config, quiet=True)
+    kept = folder.rename(folder.with_name("seed0.old"))
+    train_policy("walk", config, quiet=True)
+    train_policy("walk", replace(config, overwrite=True), quiet=True)
+    assert sorted(path.name for path in folder.parent.iterdir()) == ["seed0", "seed0.old"] and (kept / "DONE").exists()
+
+
+def killed_in_iteration(number, monkeypatch):
+    """Have training die, as if killed, within an iteration."""
+    step, steps = runs.Go1Env.step, []
+
+    def killed(self, action):
+        steps.append(1)
+        if len(steps) == (number - 1) * TINY.num_steps + 3:
+            raise SystemExit
+        return step(self, action)
+
+    monkeypatch.setattr(runs.Go1Env, "step", killed)
+
+
+def test_the_finished_run_stays_until_the_one_that_replaces_it_is_finished(config, monkeypatch):
+    folder = train_policy("walk", config, quiet=True)
+    before = (folder / "policy.npz").read_bytes()
+    longer = replace(config, overwrite=True, steps=4 * BATCH)
+    with monkeypatch.context() as patch, pytest.raises(SystemExit):
+        killed_in_iteration(3, patch)
+        train_policy("walk", longer, quiet=True)
+    assert find_weights("walk", config).read_bytes() == before
+    begun = read_npz(folder.with_name(".seed0.new") / "policy.npz")[1]
+    assert begun["steps"] == 2 * BATCH
+    train_policy("walk", longer, quiet=True)  # goes on
+    assert steps_of(folder) == [k * BATCH for k in (1, 2, 3, 4)]
+    assert [path.name for path in folder.parent.iterdir()] == ["seed0"]
+
+
+@pytest.mark.parametrize("renamed", [0, 1])
+def test_a_replacement_that_was_cut_off_is_finished(config, renamed):
+    """Killed after the finished run was set aside, and after the new one was put in its place."""
+    folder = train_policy("walk", config, quiet=True)
+    longer = train_policy("walk", replace(config, steps=4 * BATCH, out=f"{config.out}/other"), quiet=True)
+    folder.rename(folder.with_name(".seed0.old"))
+    longer.rename(folder if renamed else folder.with_name(".seed0.new"))
+    if not renamed:
+        with pytest.raises(UserError, match="not finished"):
+            find_weights("walk", config)
+    with pytest.raises(UserError, match="finished run"):
+        train_policy("walk", config, quiet=True)
+    assert steps_of(folder)[-1] == 4 * BATCH and [path.name for path in folder.parent.iterdir()] == ["seed0"]
+
+
+# --- several at once -------------------------------------------------------------------
+
+
+def test_a_run_that_somebody_else_writes_is_refused(config):
+    folder = run_folder(config.root, "walk", 0)
+    with locked(folder), pytest.raises(UserError, match="is being written by another process"):
+        train_policy("walk", config, quiet=True)
+    assert not folder.exists()
+    train_policy("walk", config, quiet=True)
+
+
+def test_a_warm_start_that_somebody_else_trains_is_waited_for(config, finished_run, tmp_path, monkeypatch):
+    folder, waits = run_folder(config.root, "walk", 0), []
+    holder = locked(folder)
+    holder.__enter__()
+
+    def wait(seconds):
+        waits.append(seconds)
+        if len(waits) == 3:
+            finished_run(tmp_path, "walk", preset="quick", steps=BATCH, config={"ppo": {"hidden": [16]}})
+            holder.__exit__(None, None, None)
+
+    monkeypatch.setattr("agility_ref.training.lock.time.sleep", wait)
+    wider = replace(config, ppo=replace(TINY, hidden=(16,)))
+    assert steps_of(train_policy("climb", wider, quiet=True)) == [2 * BATCH, 3 * BATCH]
+    assert len(waits) == 3
+
+
+def test_what_was_half_written_is_swept_away(config):
+    folder = run_folder(config.root, "walk", 0)
+    folder.mkdir(parents=True)
+    (folder / "policy.npz.123-abcd.partial").write_bytes(b"half")
+    train_policy("walk", config, quiet=True)
+    assert not list(folder.glob("*.partial"))
+
+
+# --- unfinished runs -------------------------------------------------------------------
+
+
+def test_an_unfinished_run_is_not_passed_over(config):
+    folder = train_policy("walk", config, quiet=True)
+    (folder / "DONE").unlink()
+    with pytest.raises(
+        UserError, match=r"not finished; finish it with: agility-ref train walk --preset quick --seed 0"
+    ):
+        load_policy("walk", config)
+
+
+def test_an_unfinished_warm_start_is_finished_first(config, monkeypatch):
+    walk = train_policy("walk", replace(config, steps=BATCH), quiet=True)
+    (walk / "DONE").unlink()
+    two = {name: replace(spec, budget=(2 * BATCH, 2 * BATCH)) for name, spec in policies.POLICIES.items()}
+    monkeypatch.setattr(policies, "POLICIES", two)
+    folder = train_policy("climb", config, quiet=True)
+    assert steps_of(walk) == [BATCH, 2 * BATCH] and (walk / "DONE").exists() and steps_of(folder) == [3 * BATCH]
+
+
+def test_it_is_said_that_shipped_weights_are_used(config, finished_run, tmp_path, monkeypatch, capsys):
+    shipped = finished_run(tmp_path / "package", "walk", preset="quick", steps=BATCH) / "policy.npz"
+    monkeypatch.setattr("agility_ref.training.weights.shipped", lambda *key: shipped)
+    train_policy("climb", replace(config, ppo=replace(TINY, hidden=(16,))))
+    assert "so from the shipped weights: walk" in capsys.readouterr().out
+
+
+# --- numbers that go wrong -------------------------------------------------------------
+
+
+def test_a_run_that_diverges_keeps_its_last_good_policy(config, monkeypatch):
+    good = train_policy("walk", replace(config, steps=2 * BATCH), quiet=True)
+    (good / "DONE").unlink()
+    arrays, _ = read_npz(good / "policy.npz")
+    load = runs.go_on
+    # The same settings, as the folder asks for, but a network that has become infinite since.
+    monkeypatch.setattr(
+        runs,
+        "go_on",
+        lambda given, *run: load(
+            given | {"net.critic.even.0.bias": given["net.critic.even.0.bias"] + np.float32(3e38)}, *run
+        ),
+    )
+    for _ in range(2):  # the same command ends alike when it is given again
+        with pytest.raises(
+            UserError, match=r"diverged: \w+ is not finite, or huge, in iteration 3, at 96 steps; .* keeps the policy"
+        ):
+            train_policy("walk", replace(config, steps=4 * BATCH), quiet=True)
+        for name, kept in read_npz(good / "policy.npz")[0].items():
+            np.testing.assert_array_equal(kept, arrays[name], err_msg=name)
+
+
+@pytest.mark.parametrize("change", [
+    {"ppo": replace(TINY, critic_learning_rate=1e30)},
+    {"env": EnvConfig(rewards=RewardConfig(alive=1e30))},
+    {"ppo": replace(TINY, learning_rate=1e30, learning_rate_max=1e30)},
+])  # fmt: skip
+def test_absurd_settings_end_in_one_line(config, change):
+    with pytest.raises(UserError, match=r"diverged: [\w.]+ is not finite, or huge, in iteration \d+, at \d+ steps"):
+        train_policy("walk", replace(config, **change), quiet=True)
+    saved = run_folder(config.root, "walk", 0) / "policy.npz"
+    assert not saved.exists() or Policy.load(saved)
+
+
+# --- pictures --------------------------------------------------------------------------
+
+
+def test_a_picture_that_fails_is_a_warning(config, capsys):
+    folder = train_policy("walk", config, quiet=True, draw=lambda *paths: 1 / 0)
+    assert (folder / "DONE").exists()
+    assert "warning: no " in (said := capsys.readouterr().err) and "ZeroDivisionError" in said and said.count("\n") == 1
+
+
+# --- averages and rows of before -------------------------------------------------------
+
+
+def test_averages_are_of_what_was_played(config, monkeypatch):
+    """Stopped and resumed, the averages are those of the run that was not stopped."""
+    short = replace(config, env=replace(config.env, episode_seconds=0.06), steps=6 * BATCH)
+    whole = train_policy("walk", replace(short, out=f"{config.out}/whole"), quiet=True)
+    with monkeypatch.context() as patch, pytest.raises(SystemExit):
+        killed_in_iteration(3, patch)
+        train_policy("walk", short, quiet=True)
+    parts = train_policy("walk", short, quiet=True)
+    assert [row["episode_length"] for row in progress(parts)] == [row["episode_length"] for row in progress(whole)]
+    assert float(progress(parts)[-1]["episode_length"]) == 3
+
+
+def test_nothing_is_invented_where_no_episode_has_ended(config, monkeypatch):
+    with monkeypatch.context() as patch, pytest.raises(SystemExit):
+        killed_in_iteration(2, patch)
+        train_policy("walk", config, quiet=True)
+    folder = train_policy("walk", config, quiet=True)
+    assert read_npz(folder / "policy.npz")[0]["progress.episodes"].shape == (0, 4)
+
+
+@pytest.mark.parametrize("damage", [
+    lambda text: text.replace("\r\n", "\r\n\0", 2),
+    lambda text: text.replace(",", ";"),
+    lambda text: text[: text.rfind("\n", 0, -1) - 20],
+    lambda text: text[:-30],
+    lambda text: "",
+    lambda text: None,
+    lambda text: text + text.splitlines()[-1] + "\r\n",
+    lambda text: text.replace("reward", "rewards"),
+    lambda text: "\r\n".join(text.splitlines()[::2]) + "\r\n",
+    lambda text: text.replace("0.8", "nan", 1),
+    lambda text: "\udcff" + text,
+])  # fmt: skip
+def test_a_damaged_progress_is_named_and_nothing_is_changed(config, damage):
+    folder = train_policy("walk", config, quiet=True)
+    (folder / "DONE").unlink()
+    path = folder / "progress.csv"
+    damaged = damage(path.read_bytes().decode())
+    path.unlink() if damaged is None else path.write_bytes(damaged.encode(errors="surrogateescape"))
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    with pytest.raises(UserError, match=r"progress\.csv is (damaged|missing).*put it back as it was, or delete"):
+        train_policy("walk", replace(config, steps=5 * BATCH), quiet=True)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
 def test_a_selector_acts_over_the_skills_it_was_trained_with(config, tmp_path, finished_run):
@@ -305,9 +495,43 @@ def test_warm_start_is_counted_and_copied(config, tmp_path):
     assert count == 5 * BATCH == read_npz(walk / "policy.npz")[0]["normalizer.count"] + 2 * BATCH
 
 
-def test_what_is_needed_is_trained_first(config, tmp_path, monkeypatch):
-    from agility_ref.training import policies
+def test_a_run_starts_with_the_network_it_starts_from(config, monkeypatch):
+    walk = read_npz(train_policy("walk", config, quiet=True) / "policy.npz")[0]
+    started = {}
 
+    def nothing(env, learner, *rest):
+        started.update(policy_arrays(learner) | learner_state(learner))
+        return iter(())
+
+    monkeypatch.setattr(runs, "train", nothing)
+    with pytest.raises(KeyboardInterrupt):
+        train_policy("climb", replace(config, steps=5 * BATCH, warm_std=0.4), quiet=True)
+    for name, array in started.items():
+        if name.startswith(("actor.", "net.actor.", "net.critic.", "normalizer.")):
+            np.testing.assert_array_equal(array, walk[name], err_msg=name)
+    np.testing.assert_allclose(np.exp(started["net.log_std"]), 0.4, rtol=1e-6)
+    assert not any(name.endswith("exp_avg") for name in started)
+
+
+def plain(tmp_path):
+    """Make a finished run of the walk that ships, as it was before networks knew left from right: dense layers alone."""
+    arrays, meta = read_npz(weights.FOLDER / "walk-full-seed0.npz")
+    dense = {name: array for name, array in arrays.items() if not name.startswith("net.")}
+    folder = run_folder(tmp_path, "walk", 0)
+    write_npz(folder / "policy.npz", dense, {key: meta[key] for key in meta if key != "schema"})
+    (folder / "DONE").touch()
+    return folder / "policy.npz"
+
+
+def test_nothing_starts_from_a_network_without_symmetry(config, tmp_path):
+    path = plain(tmp_path)
+    with pytest.raises(UserError) as refusal:
+        train_policy("climb", config, quiet=True)
+    assert str(refusal.value) == f"{path} holds a network without symmetry; train walk anew, with --out"
+    assert isinstance(load_policy("walk", config), Single)  # which acts as ever
+
+
+def test_what_is_needed_is_trained_first(config, tmp_path, monkeypatch):
     budgets = {name: replace(spec, budget=(4 * BATCH, 4 * BATCH)) for name, spec in policies.POLICIES.items()}
     budgets["walk"] = replace(budgets["walk"], budget=(2 * BATCH, 2 * BATCH))
     monkeypatch.setattr(policies, "POLICIES", budgets)
@@ -352,18 +576,6 @@ def test_damaged_shipped_weights_are_not_trained_anew(config, monkeypatch):
         train_policy("climb", config, quiet=True)
 
 
-@pytest.mark.parametrize("name, mirror", [("ps-rl-3-env", False), ("ps-sl-5", False), ("walk", True)])
-def test_a_clock_is_refused_where_nothing_can_use_it(config, name, mirror):
-    env, ppo = replace(config.env, gait_clock=2.0), replace(TINY, mirror=mirror)
-    with pytest.raises(UserError, match=r"env\.gait-clock (and ppo\.mirror are for skills|does not go)"):
-        train_policy(name, replace(config, env=env, ppo=ppo), quiet=True)
-
-
-def test_a_policy_with_a_clock_trains(config):
-    folder = train_policy("walk", replace(config, env=replace(config.env, gait_clock=2.0)), quiet=True)
-    assert read_npz(folder / "policy.npz")[1]["obs_dim"] == OBS_DIM + 2
-
-
 def test_fewer_steps_than_the_warm_start_is_refused(config):
     train_policy("walk", config, quiet=True)
     with pytest.raises(UserError):
@@ -382,25 +594,7 @@ def test_ppo_selector_run(config, tmp_path, finished_run, name):
     folder = train_policy(name, config, quiet=True)
     policy = load_policy(name, config)
     assert (folder / "DONE").exists() and isinstance(policy, Hierarchy)
-    assert read_npz(folder / "policy.npz")[0]["actor.2.bias"].shape == (3,)
-
-
-def test_a_held_selector_run_counts_control_steps(config, tmp_path, finished_run):
-    for skill in ("walk", "climb", "leap"):
-        finished_run(tmp_path, skill)
-    config = replace(config, steps=300, selector=SelectorConfig(decision_steps=4, switch_cost=0.1))
-    folder = train_policy("ps-rl-3-env", config, quiet=True)
-    # an iteration is 4 robots x 8 decisions x 4 steps = 128; the third one passes 300
-    assert steps_of(folder) == [128, 256, 384]
-    meta = read_npz(folder / "policy.npz")[1]
-    assert meta["steps"] == 384 and meta["config"]["selector"]["switch_cost"] == 0.1
-    assert load_policy("ps-rl-3-env", config).decision_steps == 4
-    (folder / "DONE").unlink()
-    train_policy("ps-rl-3-env", replace(config, steps=400), quiet=True)
-    assert steps_of(folder) == [128, 256, 384, 512]
-    (folder / "DONE").unlink()
-    with pytest.raises(UserError, match=r"started with selector\.decision-steps 4, not 2"):
-        train_policy("ps-rl-3-env", replace(config, selector=SelectorConfig(decision_steps=2)), quiet=True)
+    assert read_npz(folder / "policy.npz")[0]["actor.1.bias"].shape == (3,)
 
 
 def test_a_selector_does_not_go_on_over_another_skill(config, tmp_path, finished_run):
@@ -413,19 +607,15 @@ def test_a_selector_does_not_go_on_over_another_skill(config, tmp_path, finished
         train_policy("ps-rl-3-env", replace(config, steps=1000), quiet=True)
 
 
-def test_the_discount_of_a_decision_is_that_of_its_steps(config, tmp_path, finished_run, monkeypatch):
+def test_selectors_have_an_entropy_bonus_of_their_own_and_no_curriculum(config, tmp_path, finished_run, monkeypatch):
     for skill in ("walk", "climb", "leap"):
         finished_run(tmp_path, skill)
-    made = []
-    create = runs.SelectorEnv
-    monkeypatch.setattr(runs, "SelectorEnv", lambda *args: made.append(create(*args)) or made[0])
-    config = replace(config, ppo=replace(TINY, gamma=0.5), selector=SelectorConfig(decision_steps=3, ent_coef=0.07))
-    seen = []
+    seen, make_env = [], runs.make_env
+    monkeypatch.setattr(runs, "make_env", lambda spec, config: seen.append(config.curriculum) or make_env(spec, config))
     monkeypatch.setattr(runs, "train", lambda env, learner, *rest: seen.append(learner.config) or iter(()))
     with pytest.raises(KeyboardInterrupt):
-        train_policy("ps-rl-3-oracle", config, quiet=True)
-    assert made[0].gamma == 0.5 and made[0].config.decision_steps == 3
-    assert seen[0].gamma == 0.125 and seen[0].ent_coef == 0.07  # 0.5^3
+        train_policy("ps-rl-3-oracle", replace(config, selector_ent_coef=0.07), quiet=True)
+    assert not seen[0].enabled and seen[1] == replace(TINY, ent_coef=0.07)
 
 
 @pytest.mark.parametrize("rounds", [0, 1, 4])
@@ -433,11 +623,10 @@ def test_the_budget_is_the_same_with_and_without_dagger(config, tmp_path, finish
     for skill in ("walk", "climb-up", "climb-down", "leap", "beam"):
         finished_run(tmp_path, skill)
     config = replace(config, steps=90, supervised=replace(config.supervised, dagger_rounds=rounds))
-    folder = train_policy("ps-sl-5", replace(config, selector=SelectorConfig(decision_steps=10)), quiet=True)
+    folder = train_policy("ps-sl-5", config, quiet=True)
     states = int(float(progress(folder)[-1]["states"]))
     # 90 states: 96 from 8 robots; 2 x 48 = 96; 5 x 24 = 120.  Never fewer than asked for.
     assert states == {0: 96, 1: 96, 4: 120}[rounds]
-    assert load_policy("ps-sl-5", config).decision_steps == 10
 
 
 def test_the_supervised_selector_sees_every_course_and_level(config, monkeypatch):
@@ -488,13 +677,11 @@ def test_distilled_run(config, tmp_path, finished_run):
     assert [(row["round"], row["states"]) for row in progress(folder)] == [("0", "48")] * 2 + [("1", "96")] * 2
     arrays, meta = read_npz(folder / "policy.npz")
     assert meta["steps"] == 96 and set(meta["teachers"]) == {"walk", "climb-up", "climb-down", "leap", "beam"}
-    assert not any(name.startswith("critic.") for name in arrays)
+    assert not any(name.startswith("net.critic.") for name in arrays)
     assert isinstance(load_policy("distilled", config), Single)
 
 
 def test_a_post_generalist_goes_on_from_the_distilled_policy(config, tmp_path, finished_run, monkeypatch):
-    from agility_ref.training import policies
-
     budgets = {name: replace(spec, budget=(4 * BATCH, 4 * BATCH)) for name, spec in policies.POLICIES.items()}
     budgets["distilled"] = replace(budgets["distilled"], budget=(2 * BATCH, 2 * BATCH))
     monkeypatch.setattr(policies, "POLICIES", budgets)
@@ -511,36 +698,3 @@ def test_a_post_generalist_goes_on_from_the_distilled_policy(config, tmp_path, f
     np.testing.assert_allclose(float(first["std"]), fine_tune.std, rtol=1e-5)
     arrays, meta = read_npz(folder / "policy.npz")
     assert meta["start"] == 2 * BATCH and int(arrays["optimizer.actor_start"]) == 3 * BATCH
-
-
-def test_averages_go_on_where_they_were(tmp_path):
-    """10 new episodes among 190 like the last row's."""
-    row = {"steps": "64", "reward": "2", "episode_length": "100", "waypoint_fraction": "0.5", "edge_violation": "0.25"}
-    log = ProgressLog("walk", tmp_path, [row], 500, 1000, quiet=True)
-    episode = {"reward": 0.0, "length": 50, "waypoints": 8, "edge": 0.0}
-    record = dict.fromkeys(PROGRESS, 0.0) | {"steps": 96, "episodes": [episode] * 10}
-    log.add(record, 0.0, 0.0, {})
-    figures = {key: float(value) for key, value in log.rows[-1].items()}
-    assert figures["reward"] == pytest.approx(1.9)  # (190 2 + 10 0) / 200
-    assert figures["episode_length"] == pytest.approx(97.5)  # (190 100 + 10 50) / 200
-    assert figures["waypoint_fraction"] == pytest.approx(0.525)  # (190 4 + 10 8) / 200 / 8
-    assert figures["edge_violation"] == pytest.approx(23.75 / 97.5, rel=1e-5)  # 25 feet an episode, 190 of 200
-
-
-def test_the_bar_of_a_warm_start_begins_where_it_left_off(tmp_path):
-    assert ProgressLog("climb", tmp_path, [], 500, 1000, quiet=True).bar.n == 500
-
-
-@pytest.mark.parametrize(
-    "text, kept", [("a,b\n1,2\n3,4\n", 2), ("a,b\n1,2\n3,4", 1), ("a,b\n1,2\n3,", 1), ("a,b\n", 0), ("a,b", 0)]
-)
-def test_a_row_without_its_end_is_left_out(tmp_path, text, kept):
-    (tmp_path / "progress.csv").write_text(text)
-    assert len(read_rows(tmp_path / "progress.csv")) == kept
-
-
-@pytest.mark.parametrize("text", ["a,b\n1\n3,4\n", "a,b\n1,2,3\n", "a,b\n1,x\n", "a,b\n1,\n"])
-def test_a_damaged_progress_is_named(tmp_path, text):
-    (tmp_path / "progress.csv").write_text(text)
-    with pytest.raises(UserError, match=r"progress\.csv is damaged"):
-        read_progress(tmp_path / "progress.csv")

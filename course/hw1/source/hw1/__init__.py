@@ -1,0 +1,3 @@
+"""Assignment 1: terrain as maps."""
+
+import agility_ref  # noqa: F401  (before numpy)

@@ -1,0 +1,3 @@
+"""Assignment 3: PPO, and a robot that walks."""
+
+import agility_ref  # noqa: F401  (before numpy and torch)

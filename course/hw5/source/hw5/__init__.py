@@ -1,0 +1,3 @@
+"""Assignment 5: which skill, where?"""
+
+import agility_ref  # noqa: F401  (before numpy and torch)

@@ -1,0 +1,111 @@
+"""The workflow on the local executor with tiny budgets; its graph for Slurm as a dry run."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from agility_ref.errors import UserError
+from agility_ref.policy import Policy
+from agility_ref.results.cells import cell_path
+from agility_ref.results.table1 import table_lines
+from agility_ref.simulation import default_threads
+from agility_ref.training.policies import POLICIES
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+WORKFLOW = ROOT / "workflow"
+TINY = {
+    "presets": ["quick"], "seeds": [0], "policies": ["leap"], "environments": ["gap"], "episodes": 2,
+    "steps": {"walk": 512, "leap": 1024}, "flags": "--ppo.num-envs 16 --curriculum.num-levels 2 --curriculum.variants 1",
+}  # fmt: skip
+
+
+def snakemake(folder, *arguments, config=None, profile="default"):
+    """Run Snakemake on our Snakefile in a folder of its own; return the finished process."""
+    pytest.importorskip("snakemake", reason="needs the extra sweep")
+    if config is not None:
+        (folder / "config.json").write_text(json.dumps(config))
+    command = [
+        sys.executable, "-m", "snakemake", "--snakefile", WORKFLOW / "Snakefile", "--directory", folder,
+        "--profile", WORKFLOW / "profiles" / profile, *arguments,
+    ]  # fmt: skip
+    if (folder / "config.json").exists():
+        command += ["--configfile", folder / "config.json"]
+    paths = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    return subprocess.run(command, env=os.environ | {"PYTHONPATH": paths}, capture_output=True, text=True, timeout=900)
+
+
+def ran(process):
+    """Return how many jobs of each rule ran, or would run."""
+    assert process.returncode == 0, process.stderr[-3000:]
+    counts = re.findall(r"^([a-z][\w-]*) +(\d+)$", process.stdout + process.stderr, re.M)
+    return {rule: int(count) for rule, count in counts if rule != "total"}
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("workflow")
+    return folder, snakemake(folder, "--cores", "2", "table1", config=TINY)
+
+
+def test_the_table_is_trained_and_played(built):
+    folder, process = built
+    assert ran(process) == {"walk": 1, "leap": 1, "cell": 1, "table": 1, "table1": 1}
+    table = (folder / "results" / "quick" / "table1.csv").read_text().splitlines()
+    assert [line.split(",")[1] for line in table if line.endswith(",0")] == ["Leap"]
+    assert cell_path(folder / "results" / "quick" / "cells", "leap", "gap", 0).exists()
+    marker = (folder / "runs" / "quick" / "leap" / "seed0" / "DIGEST").read_text()
+    policy = Policy.load(folder / "runs" / "quick" / "leap" / "seed0" / "policy.npz")
+    assert marker == f"leap {policy.digest()}\n" and policy.meta["start"] == 512
+
+
+def test_a_finished_table_has_nothing_to_do(built):
+    assert ran(snakemake(built[0], "--cores", "2", "--dry-run", "table1")) == {}
+
+
+def test_what_is_missing_is_made_again_from_where_it_was(built):
+    """A lost marker alone: the run goes on from its checkpoint, ends with the same weights, and no cell is played again."""
+    run = built[0] / "runs" / "quick" / "walk" / "seed0"
+    before, progress = (run / "DIGEST").read_text(), (run / "progress.csv").read_text()
+    (run / "DIGEST").unlink()
+    process = snakemake(built[0], "--cores", "2", "weights")
+    assert ran(process) == {"walk": 1, "leap": 1, "weights": 1}
+    assert (run / "DIGEST").read_text() == before and (run / "progress.csv").read_text() == progress
+    assert ran(snakemake(built[0], "--cores", "2", "--dry-run", "table1")) == {}
+
+
+def test_other_weights_below_make_everything_above_anew(built):
+    run = built[0] / "runs" / "quick"
+    leap = (run / "leap" / "seed0" / "DIGEST").read_text()
+    process = snakemake(built[0], "--cores", "2", "table1", config=TINY | {"steps": {"walk": 768, "leap": 1024}})
+    assert ran(process) == {"walk": 1, "leap": 1, "cell": 1, "table": 1, "table1": 1}
+    assert Policy.load(run / "leap" / "seed0" / "policy.npz").meta["start"] == 768
+    assert (run / "leap" / "seed0" / "DIGEST").read_text() != leap
+
+
+def test_slurm_would_run_the_whole_table(tmp_path):
+    pytest.importorskip("snakemake_executor_plugin_slurm")
+    jobs = ran(snakemake(tmp_path, "--dry-run", "table1", profile="slurm"))
+    trained = [name for name, spec in POLICIES.items() if spec.method != "oracle" and name != "post-gen"]
+    cells = {(e, "ps-rl-3-oracle" if name == "ps-rl-3" else name) for e, name in table_lines() if name != "post-gen"}
+    assert jobs == dict.fromkeys(trained, 3) | {"cell": 3 * len(cells), "table": 1, "table1": 1}
+
+
+def test_unknown_policy_is_named(tmp_path):
+    process = snakemake(tmp_path, "--dry-run", "table1", config=TINY | {"policies": ["fly"]})
+    assert process.returncode != 0 and "unknown policy" in process.stdout + process.stderr
+
+
+def test_threads_can_be_set_from_outside(monkeypatch):
+    monkeypatch.delenv("AGILITY_REF_THREADS", raising=False)
+    assert default_threads() == 0
+    monkeypatch.setenv("AGILITY_REF_THREADS", "3")
+    assert default_threads() == 3
+    for text in ("many", "-1", ""):
+        monkeypatch.setenv("AGILITY_REF_THREADS", text)
+        with pytest.raises(UserError, match="AGILITY_REF_THREADS"):
+            default_threads()
