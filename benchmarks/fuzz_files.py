@@ -29,7 +29,7 @@ from pathlib import Path
 from agility_ref.curriculum import CurriculumConfig
 from agility_ref.errors import UserError, one_line
 from agility_ref.evaluate import METRICS
-from agility_ref.observation import OBS_DIM
+from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR
 from agility_ref.policy import Policy, read_npz, write_npz
 from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.results.cells import read_cell
@@ -39,9 +39,9 @@ from agility_ref.training.bank import find_weights, run_folder
 from agility_ref.training.policies import find_policy
 from agility_ref.training.progress import EPISODE, PROGRESS, rows_until
 from agility_ref.training.runs import TrainConfig, make_env
+from agility_ref.training.state import check_arrays, go_on, learner_state, policy_arrays, robots_state
 
 import numpy as np
-from agility_ref.training.resume import check_arrays, go_on, going_on
 
 PPO = PPOConfig(num_envs=4, num_steps=4, hidden=(8,))
 WORDS = (
@@ -226,14 +226,13 @@ class Files:
             preset="quick", out=str(folder / "runs"), ppo=PPO, curriculum=CurriculumConfig(num_levels=2, variants=1)
         )
         self.env, self.curriculum = make_env(find_policy("walk"), self.config)
-        self.learner = Learner.create(OBS_DIM, 12, PPO, 0)
-        self.state = going_on(self.learner, self.env, self.curriculum)
+        self.learner = Learner.create(OBS_MIRROR, ACTION_MIRROR, PPO, 0)
         self.observation = self.env.observation.copy()
         run = run_folder(self.config.root, "walk", 0)
         run.mkdir(parents=True)
         (run / "DONE").touch()
         self.run, self.cell_meta = run, {"policy": "walk", "environment": "gap", "seed": 0, "steps": 5}
-        arrays = self.learner.arrays() | self.learner.training_arrays() | self.state
+        arrays = policy_arrays(self.learner) | learner_state(self.learner) | robots_state(self.env, self.curriculum)
         arrays |= {"progress.episodes": np.ones((3, len(EPISODE)))}
         meta = {
             "policy": "walk",
@@ -263,7 +262,7 @@ class Files:
         write_npz(folder / "cell.npz", {m: np.linspace(0, 1, 5) for m in METRICS}, self.cell_meta)
         curve = {"steps": [1, 2, 3], "reward": [0.5, 1.5, 2.5]}
         name = weights.file_name("quick", "walk", 0)
-        write_npz(folder / name, self.learner.arrays(), meta)
+        write_npz(folder / name, policy_arrays(self.learner), meta)
         entry = {"sha256": weights.sha256(folder / name), "policy": "walk", "steps": 64, "curve": curve}
         (folder / "manifest.json").write_text(json.dumps({name: entry}))
         self.shipped = folder / name
@@ -282,8 +281,7 @@ class Files:
         if not np.isfinite(action).all():
             raise RuntimeError("a policy that loads does not act")
         arrays, _ = read_npz(path)
-        check_arrays(path, arrays, self.learner, self.state)
-        self.learner.load_arrays(arrays)
+        check_arrays(path, arrays, self.learner, self.env, self.curriculum)
         go_on(arrays, self.learner, self.env, self.curriculum)
         self.env.step(np.zeros((PPO.num_envs, 12)))
         return arrays
