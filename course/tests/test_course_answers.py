@@ -23,7 +23,7 @@ WRONG = [
 
 
 def graded(name, folder, seeds=SEEDS, only=""):
-    options = argparse.Namespace(seeds=seeds, seconds=120, memory=8, no_training=True, only=only)
+    options = argparse.Namespace(seeds=seeds, seconds=900, memory=8, no_training=True, only=only)
     return grade.grade(find(name), "student", folder, options)[0]
 
 
