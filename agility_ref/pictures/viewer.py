@@ -160,7 +160,7 @@ def geom_mesh(model: mujoco.MjModel, geom: int):
         ELLIPSOID: lambda: make.icosphere(3).apply_scale(size),
         CAPSULE: lambda: make.capsule(2 * size[1], size[0], count=[12, 12]),
         CYLINDER: lambda: make.cylinder(size[0], 2 * size[1], sections=20),
-    }[kind]()
+    }[mujoco.mjtGeom(int(kind))]()
     mesh.apply_translation(-mesh.bounds.mean(axis=0))
     frame, rotation = np.eye(4), np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])

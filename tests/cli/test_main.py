@@ -338,7 +338,10 @@ def test_plot_prints_only_what_it_drew(capsys, tmp_path):
 
 def test_python_dash_m():
     done = subprocess.run(
-        [sys.executable, "-m", "agility_ref", "train", "wlak"], capture_output=True, text=True, timeout=60
+        [sys.executable, "-m", "agility_ref", "evaluate", "wlak", "--environment", "gap"],
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
     assert done.returncode == 2
     assert done.stderr.startswith("agility-ref: unknown policy 'wlak': did you mean walk")
