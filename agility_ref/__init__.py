@@ -2,7 +2,7 @@
 
 The files of this folder are the paper, in the order terrain, world, go1, simulation, rewards,
 observation, env, curriculum, policy, networks, ppo, selector, evaluate: each imports only from
-those before it (and from errors and stats).  Four rooms hold the rest, each of which imports
+those before it (and from errors, stats and files).  Four rooms hold the rest, each of which imports
 only from the core and the rooms before it: training, pictures, results, cli.
 """
 

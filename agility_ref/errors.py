@@ -24,6 +24,16 @@ def require_at_least(least: float, **given: float) -> None:
             raise UserError(f"{name.replace('_', '-')} must be a number of at least {least:g}, not {value}")
 
 
+def one_line(error: BaseException) -> str:
+    r"""Return what an error says, without line breaks and whatever else a file may have put into it.
+
+    >>> one_line(ValueError("no array\n\x1b[2J of that name"))
+    'no array [2J of that name'
+    """
+    words = "".join(c if c.isprintable() else " " for c in str(error)).split()
+    return " ".join(words)[:1000]
+
+
 def unknown_name(what: str, given: str, allowed: Iterable[str]) -> UserError:
     """Return the error for a name that is not in ``allowed``, nearest names first."""
     allowed = list(allowed)

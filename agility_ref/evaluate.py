@@ -26,6 +26,7 @@ from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, make_course
 from agility_ref.world import World
 
 import numpy as np
+from tqdm import tqdm
 
 METRICS = ("reward", "episode_length", "waypoint_fraction", "edge_violation")
 PROTOCOLS = ("complete", "as-published")
@@ -282,6 +283,7 @@ def rollout(
     """
     observation, _ = env.reset(seed)
     r: dict[str, list[np.ndarray]] = defaultdict(list)
+    bar = tqdm(total=env.max_steps, desc=policy.name, unit="step", leave=False, delay=3, disable=None)
     while not r["done"] or not enough(r["done"]):
         if isinstance(policy, Hierarchy):
             r["oracle"].append(policy.labels[env.oracle_skill()])
@@ -297,4 +299,6 @@ def rollout(
         r["edge"].append(info["feet_on_edge"])
         r["terminated"].append(terminated)
         r["done"].append(terminated | truncated)
+        bar.update()
+    bar.close()
     return {name: np.array(values) for name, values in r.items()}

@@ -18,6 +18,7 @@ from agility_ref.env import TRAINING
 from agility_ref.terrain import NUM_WAYPOINTS
 
 import numpy as np
+import ray
 import tyro
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.connectors.env_to_module import MeanStdFilter
@@ -51,6 +52,7 @@ def main(config: Config) -> float:
     def note(episode, **_) -> None:
         waypoints.append(episode.get_infos(-1)["totals"]["waypoints"] / NUM_WAYPOINTS)
 
+    ray.init(num_cpus=1, include_dashboard=False)  # RLlib stores its settings there; all else is in this process
     algorithm = (
         PPOConfig()
         .environment(f"agility_ref.gym:{config.id}", env_config={"difficulty": config.difficulty, "config": task})
@@ -79,6 +81,7 @@ def main(config: Config) -> float:
     reached = float(np.mean(waypoints)) if waypoints else 0.0
     print(f"{steps:.0f} steps in {time.perf_counter() - start:.0f} s: waypoints {reached:.2f}")
     algorithm.stop()
+    ray.shutdown()
     return reached
 
 

@@ -1,7 +1,10 @@
 from agility_ref.go1 import (
+    BODY_TOUCH,
     DEFAULT_DOF_POS,
     DOF_RANGE,
     FOOT_RADIUS,
+    FOOT_TOUCH,
+    FOOT_VELOCITY,
     JOINTS,
     LEGS,
     STAND_HEIGHT,
@@ -118,12 +121,13 @@ def test_a_standing_robot_is_carried_by_its_feet(model):
     mujoco.mj_resetDataKeyframe(model, data, 0)
     for _ in range(300):
         mujoco.mj_step(model, data)
-    feet = data.sensordata[:16].reshape(4, 4)
+    feet = np.array([data.sensor(name).data for name in FOOT_TOUCH])
     assert (feet[:, 0] > 0).all()
     # the sensor gives the force of the feet on the ground: downwards
     assert feet[:, 3].sum() == pytest.approx(-12.743448 * 9.81, rel=0.02)
-    assert (data.sensordata[16:25] == 0).all()  # trunk, thighs, calves are off the ground
-    np.testing.assert_allclose(data.sensordata[25:], 0.0, atol=0.01)  # the feet rest
+    assert all(data.sensor(name).data == 0 for name in BODY_TOUCH)  # trunk, thighs, calves are off the ground
+    for name in FOOT_VELOCITY:
+        np.testing.assert_allclose(data.sensor(name).data, 0.0, atol=0.01)  # the feet rest
 
 
 def test_a_lying_trunk_is_felt(model):

@@ -199,13 +199,13 @@ show(figure, "03_clipped_objective")
 # To see it in seconds, take a runner in the plane.  It starts at $x = 0$ and sets its velocity $(v_x, v_y)$, at most 1 m/s
 # each, ten times a second.  It gets a reward for being alive and one for running forwards,
 #
-# $$r = 0.5 + 0.5\, v_x - y^2,$$
+# $$r = 0.2 + 0.8\, v_x - y^2 \quad \text{per second},$$
 #
 # and its episode is truncated at $x = 4$ m (well done!) or after 10 s.  It never dies.  The observation is
 # $(x, y, v_x, v_y)$; left and right are alike, which `Mirror` says with a sign (tutorial 4).
 #
 # **Predict, then run.**  One learner is told that its episodes were truncated, the other that they terminated.  What will
-# the second do shortly before the goal?  And which of the two collects more reward in an episode?
+# the second do about the goal?  And which of the two collects more reward in an episode?
 
 
 # %%
@@ -236,7 +236,7 @@ class Runner:
         self.state[:, :2] += self.DT * velocity
         self.state[:, 2:] = velocity
         self.age += 1
-        reward = self.DT * (0.5 + 0.5 * velocity[:, 0] - self.state[:, 1] ** 2)
+        reward = self.DT * (0.2 + 0.8 * velocity[:, 0] - self.state[:, 1] ** 2)
         self.total += reward
         arrived = self.state[:, 0] >= self.GOAL
         over = arrived | (self.age >= self.LIMIT)
@@ -289,11 +289,12 @@ runs = {"right": learn(bug=False), "with the bug": learn(bug=True)}
 figure, axes = new_figure(1, 3, (12.0, 3.6))
 for (label, (learner, (returns, arrived))), colour in zip(runs.items(), (BLUE, ORANGE), strict=True):
     x = run(learner)
-    axes[0, 0].plot(returns, color=colour, label=label)
-    axes[0, 1].plot(arrived, color=colour)
+    some = np.flatnonzero(np.isfinite(returns))  # iterations in which an episode ended
+    axes[0, 0].plot(some, returns[some], color=colour, label=label)
+    axes[0, 1].plot(some, arrived[some], color=colour)
     axes[0, 2].plot(Runner.DT * np.arange(len(x)), x, color=colour)
     print(
-        f"{label:13}: return {returns[-5:].mean():.1f}, {arrived[-5:].mean():.0%} of the episodes arrive; "
+        f"{label:13}: return {np.nanmean(returns[-5:]):.1f}, {np.nanmean(arrived[-5:]):.0%} of the episodes arrive; "
         f"without exploration at x = {x[-1]:.2f} m after {Runner.DT * (len(x) - 1):.1f} s"
     )
 axes[0, 0].set(xlabel="iteration", ylabel="return per episode [reward]")
@@ -309,9 +310,9 @@ print(f"time: {time.perf_counter() - STARTED:.0f} s")
 # %% [markdown]
 # <details><summary>Answer, and the surprise</summary>
 #
-# The learner with the bug believes that the world ends at the goal.  Behind it is nothing, before it 0.5 a second for being
-# alive, so it runs up to the goal and waits there until the clock runs out.  It is an excellent solution of the wrong
-# problem.
+# The learner with the bug believes that the world ends at the goal.  Behind it is nothing, before it 0.2 a second for being
+# alive.  So it runs, because running pays, gets slower and slower, and never arrives: it waits in front of the goal until
+# the clock runs out.  It is an excellent solution of the wrong problem.
 #
 # The surprise is the left picture: **its return is the higher one**.  A runner that arrives stops collecting, so by the
 # curve that everybody watches, the bug is an improvement.  Nothing crashes, the losses fall, the reward rises.  Two things
@@ -320,7 +321,7 @@ print(f"time: {time.perf_counter() - STARTED:.0f} s")
 #
 # </details>
 #
-# **Try.**  Give the reward no 0.5 for being alive.  Is the bug then harmless?
+# **Try.**  Give the reward no 0.2 for being alive.  Is the bug then harmless?
 #
 # <details><summary>Answer</summary>
 #

@@ -257,6 +257,7 @@ for label, kind, mirrored, colour in (
     axis.loglog(EXAMPLES, errors.T, "o", color=colour, markersize=4, alpha=0.6)
     print(f"{label:21}", "  ".join(f"{n}: {e:.3f}" for n, e in zip(EXAMPLES, errors.mean(axis=0), strict=True)))
 axis.set_xticks(EXAMPLES, EXAMPLES)
+axis.set_yticks(ticks := (0.02, 0.03, 0.05, 0.1), ticks)
 axis.minorticks_off()
 axis.set(xlabel="examples n [-]", ylabel="squared error / variance of the actions [-]")
 axis.legend(fontsize=9)
@@ -264,9 +265,11 @@ axis.grid(alpha=0.3, which="both")
 show(figure, "04_examples")
 
 # %% [markdown]
-# The mirrored data teach the plain network the symmetry, but only where it has data, only about, and each gradient step
-# sees half as many *different* states.  In reinforcement learning there is one more catch: the mirrored action of a policy
-# that is not symmetric is an action that it would hardly have taken, and PPO's ratio of probabilities makes no sense for it.
+# Giving a plain network the mirrored data as well is the cheap way to teach it the symmetry, and when one imitates it is not a
+# bad one: compare the orange line with the green.  It holds only about and only where there are data, and it costs twice the
+# arithmetic where the equivariant network saves half.  In reinforcement learning there is a catch besides: the mirrored
+# action of a policy that is not symmetric is an action that it would hardly have taken, and PPO's ratio of probabilities
+# (tutorial 3) makes no sense for it.
 
 # %% [markdown]
 # ## 4.5 A surprise: the donkey between two haystacks
@@ -283,7 +286,8 @@ show(figure, "04_examples")
 # with the usual noise of its sensors.  Can it ever begin to trot in the ideal world?
 #
 # *What you should see:* how different left and right are, as the largest difference between an action and its mirror image,
-# on a logarithmic axis; and below, which feet stand (dark).
+# on a logarithmic axis; and below, which feet stand (dark).  Where a line drops back to rounding error the robot has fallen
+# and starts again.
 
 # %%
 figure, axes = new_figure(3, 1, (8.0, 6.6))
@@ -292,11 +296,12 @@ for line, (label, noise, colour) in enumerate((("ideal", 0.0, BLUE), ("with nois
         World([flat]), num_envs=1, config=EnvConfig(start_noise=0.0, noise=noise, push_interval=0.0, payload_high=0.0)
     )
     observation, _ = env.reset(seed=3)
-    asymmetry, feet = [], []
+    asymmetry, feet, falls = [], [], 0
     for _ in range(round(4.0 / ideal.dt)):
         action = walk.policy(observation)
         asymmetry.append(np.abs(action - ACTION_MIRROR(action)).max())
-        observation, *_ = env.step(action)
+        observation, _, terminated, _, _ = env.step(action)
+        falls += terminated.sum()
         feet.append(env.foot_contact[0].copy())
     t = ideal.dt * np.arange(len(asymmetry))
     axes[0, 0].semilogy(t, np.maximum(asymmetry, 1e-9), color=colour, label=label)
@@ -308,7 +313,7 @@ for line, (label, noise, colour) in enumerate((("ideal", 0.0, BLUE), ("with nois
     axes[line + 1, 0].set_title(label, loc="left", fontsize=10)
     different = np.flatnonzero(np.array(asymmetry) > 0.1)
     when = f"after {different[0] * ideal.dt:.2f} s" if len(different) else "never in these 4 s"
-    print(f"{label:10}: left and right differ by {asymmetry[0]:.0e} at the start, by 0.1 {when}")
+    print(f"{label:10}: left and right differ by {asymmetry[0]:.0e} at the start, by 0.1 {when}; falls: {falls}")
 axes[0, 0].set(ylabel="|a - M'a|", xlim=(0, 4))
 axes[0, 0].legend(fontsize=9, loc="lower right")
 axes[0, 0].grid(alpha=0.3)
@@ -319,11 +324,12 @@ print(f"time: {time.perf_counter() - STARTED:.0f} s")
 # %% [markdown]
 # <details><summary>Answer</summary>
 #
-# On paper never: with equal numbers on both sides the legs would move in pairs, front with front and rear with rear, for ever.
-# In the simulation it can, because something breaks the tie: the centre of mass that lies 2 mm to the left (4.2), and, if
-# that were not so, the rounding errors of some $10^{-7}$ with which the blue line begins.  A robot on its legs is unstable,
-# so such a difference grows until one side wins and the robot walks like any other.  With noise the tie is broken at the
-# first step.
+# On paper never: with equal numbers on both sides the legs move in pairs, front with front and rear with rear, for ever.  You
+# can see it try: in the first strides of the ideal world both rear feet leave the ground together, a gait that the policy has
+# never practised.  In the simulation it can get away from there, because something breaks the tie: the centre of mass that
+# lies 2 mm to the left (4.2), and, if that were not so, the rounding errors of some $10^{-7}$ with which the blue line begins.
+# A robot on its legs is unstable, so such a difference grows until one side wins.  With noise the tie is broken at the first
+# step.
 #
 # So noise is not only a nuisance that a robust policy has to endure: a symmetric policy **needs** it, or a body or a start
 # that is a little crooked, to choose a side.  Training has all of these.

@@ -21,7 +21,7 @@ from typing import Annotated, Any, NamedTuple, Union
 
 from agility_ref import __version__
 from agility_ref.cli import commands, export, pictures
-from agility_ref.errors import UserError, unknown_name
+from agility_ref.errors import UserError, one_line, unknown_name
 
 import tyro
 
@@ -155,7 +155,7 @@ def main(argv: list[str] | None = None) -> int:
     except SystemExit as done:  # tyro has printed the help, or what is wrong with a flag
         return (done.code or 0) if argv else 2
     except UserError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        print(f"{PROGRAM}: {one_line(error)}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader of our output, `head` for one, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

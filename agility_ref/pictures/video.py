@@ -123,6 +123,7 @@ def frames(episode: "Episode", config: VideoConfig = VideoConfig()) -> Iterator[
     from agility_ref.pictures.scene import make_scene, mark_waypoints
 
     import mujoco
+    from tqdm import tqdm
 
     check_video(config)
     model = make_scene(episode.course)
@@ -133,7 +134,7 @@ def frames(episode: "Episode", config: VideoConfig = VideoConfig()) -> Iterator[
     steps = np.minimum(np.round(times / episode.dt).astype(int), len(episode) - 1)
     gaze = None
     with open_renderer(model, config) as renderer:
-        for t in steps:
+        for t in tqdm(steps, desc="film", unit="frame", leave=False, disable=None):
             data.qpos[:] = episode.qpos[t]
             mark_waypoints(model, episode.waypoint_index[t])
             mujoco.mj_kinematics(model, data)

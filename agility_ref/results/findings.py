@@ -287,7 +287,7 @@ def read_ablations(path: Path) -> list[dict]:
         rows = [{name: kind(row[name]) for name, kind in kinds.items()} for row in read_csv(path, ABLATION_COLUMNS)]
         if not all(isfinite(row["waypoint_fraction"]) for row in rows):
             raise ValueError("a waypoint fraction that is not finite")
-    except (ValueError, OverflowError) as error:
+    except (UserError, ValueError, OverflowError) as error:
         raise UserError(f"{path} does not hold {','.join(ABLATION_COLUMNS)}: {error}") from None
     return rows
 

@@ -230,9 +230,9 @@ EXTRA_HEADINGS = ("Success", "Steps", "Seeds")
 def title(config: EvaluationConfig, rows: list[Row]) -> str:
     """Say in one line what the table shows."""
     seeds = sorted({seed for row in rows if row.ours for seed in row.ours.seeds})
-    parts = [f"Table 1, preset {config.preset}", f"{config.episodes} episodes a cell"]
+    parts = [f"Table 1, preset {config.preset}", f"{config.episodes} episodes per cell"]
     if config.protocol != "complete":
-        parts[1:] = [f"{config.episodes} robots a cell", f"counted {config.protocol}"]
+        parts[1:] = [f"{config.episodes} robots per cell", f"counted {config.protocol}"]
     if config.difficulty is not None:
         parts.append(f"difficulty {config.difficulty:g}")
     if config.clean:
