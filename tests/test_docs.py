@@ -99,7 +99,8 @@ def commands_of(page):
     blocks = [line for block in re.findall(r"^```\n(.*?)^```", text, re.M | re.S) for line in block.splitlines()]
     inline = re.findall(r"`(agility-ref [^`]+)`", re.sub(r"^```.*?^```", "", text, flags=re.M | re.S))
     found = [re.sub(r"^\.venv/bin/", "", line) for line in (*blocks, *inline)]
-    found = [re.sub(r"--seed K\b", "--seed 0", line) for line in found if line.startswith("agility-ref ")]
+    found = [re.sub(r"--seed K\b", "--seed 0", line) for line in found if re.match(r"agility-ref \S+ \S", line)]
+    found = [re.sub(r" [>|&;].*", "", line) for line in found]  # what the shell does with it
     return [shlex.split(line, comments=True)[1:] for line in found]
 
 
