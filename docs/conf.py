@@ -32,7 +32,7 @@ html_show_sourcelink = False
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3  # as GitHub makes them, so that links to a heading work in both places
 nb_execution_mode = "off"
-suppress_warnings = ["myst.header", "toc.empty_glob"]  # a tutorial's cells may begin below the first level
+suppress_warnings = ["myst.header"]  # a tutorial's cells may begin below the first level
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"

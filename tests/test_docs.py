@@ -2,8 +2,11 @@ import configparser
 import importlib.util
 import pydoc
 import re
+import shlex
 from pathlib import Path
 
+from agility_ref.cli.main import parse
+from agility_ref.errors import UserError
 from agility_ref.observation import OBSERVATION, observation_slices
 from agility_ref.rewards import TERMS, RewardConfig
 
@@ -88,3 +91,27 @@ def test_a_link_that_leads_nowhere_is_found(tmp_path):
     assert links.broken_links(tmp_path) == [
         f"a.html links to {target}" for target in ("#nowhere", "b.html#there", "c.html", "d.png")
     ]
+
+
+def commands_of(page):
+    """Return what a page tells the reader to type, from blocks and from running text."""
+    text = (ROOT / page).read_text().replace("\\\n", " ")
+    blocks = [line for block in re.findall(r"^```\n(.*?)^```", text, re.M | re.S) for line in block.splitlines()]
+    inline = re.findall(r"`(agility-ref [^`]+)`", re.sub(r"^```.*?^```", "", text, flags=re.M | re.S))
+    found = [re.sub(r"^\.venv/bin/", "", line) for line in (*blocks, *inline)]
+    found = [re.sub(r"--seed K\b", "--seed 0", line) for line in found if re.match(r"agility-ref \S+ \S", line)]
+    found = [re.sub(r" [>|&;].*", "", line) for line in found]  # what the shell does with it
+    return [shlex.split(line, comments=True)[1:] for line in found]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_of_the_pages_are_understood(page):
+    for words in commands_of(page):
+        if words[0] == "plot" and "/" in words[1]:
+            words.insert(1, "run")  # what the folder of a run stands for
+        try:
+            parse(words)
+        except UserError as wrong:
+            pytest.fail(f"{page}: agility-ref {shlex.join(words)}: {wrong}")
+        except SystemExit as left:  # as --help does, with status 0
+            assert not left.code, f"{page}: agility-ref {shlex.join(words)}"

@@ -23,4 +23,4 @@ for d in 0.5 1; do
   agility-ref plot strobe beam --environment beam --difficulty $d --out docs/figures/beam-$d.png
 done
 agility-ref video climb --environment climb --difficulty 1 --seconds 13 --fps 12 --quality 40 --out docs/figures/climb.webp
-find docs/figures -name "*.svg" ! -name framework.svg -delete
+find docs/figures -name "*.svg" ! -name framework.svg ! -name workflow.svg -delete
