@@ -64,7 +64,7 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
 GROUPS = {"plot": "Draw a picture as PNG and SVG; KIND is one of those below."}
 
 
-RENDERING = (pictures.video,)  # what draws with OpenGL
+RENDERING = (["video"],)  # the commands that draw with OpenGL
 
 
 def options_of(command: Command, every: bool) -> type:
@@ -148,8 +148,8 @@ def main(argv: list[str] | None = None) -> int:
         print(f"{PROGRAM} {__version__}")
         return 0
     try:
-        command, options = parse(argv)
-        with no_graphics(needed=command.run in RENDERING):
+        with no_graphics(needed=argv[:1] in RENDERING):
+            command, options = parse(argv)
             command.run(options)
         sys.stdout.flush()
     except SystemExit as done:  # tyro has printed the help, or what is wrong with a flag
