@@ -340,7 +340,8 @@ def test_python_dash_m():
     """An unknown command, for which no library is imported."""
     done = subprocess.run([sys.executable, "-m", "agility_ref", "trian"], capture_output=True, text=True, timeout=60)
     assert done.returncode == 2
-    assert done.stderr == "agility-ref: unknown command 'trian': did you mean train?\n"
+    assert done.stderr.startswith("agility-ref: unknown command 'trian': did you mean train")
+    assert done.stderr.count("\n") == 1
 
 
 def test_a_reader_that_has_seen_enough_gets_no_traceback():
