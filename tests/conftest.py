@@ -12,29 +12,16 @@ with suppress(UserError):  # tests that need OpenGL are skipped without
     choose_gl()  # before MuJoCo is imported
 
 from agility_ref.env import ACTION_DIM
-from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOT_MIRROR, SCANDOTS, Mirror
+from agility_ref.observation import OBS_DIM
 from agility_ref.pictures.record import Episode
 from agility_ref.policy import Policy, write_npz
-from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.terrain import Course
-from agility_ref.training.state import learner_state, policy_arrays
 
 import numpy as np
 import pytest
+from made import random_arrays
 
 SKILLS = ("walk", "climb-up", "climb-down", "leap", "beam")
-
-
-def random_arrays(seed=0, obs_dim=OBS_DIM, act_dim=ACTION_DIM, gain=1.0):
-    """Weights of an untrained network; gain > 1 makes it move more than a beginner's."""
-    fixed = SCANDOTS if obs_dim == OBS_DIM else slice(0, 0)
-    flipped = Mirror(np.arange(obs_dim), np.where(np.arange(obs_dim) < 1, -1, 1).astype(np.float32))
-    obs_mirror = {OBS_DIM: OBS_MIRROR, NUM_SCANDOTS: SCANDOT_MIRROR}.get(obs_dim, flipped)
-    act_mirror = ACTION_MIRROR if act_dim == ACTION_DIM else Mirror.identity(act_dim)
-    learner = Learner.create(obs_mirror, act_mirror, PPOConfig(hidden=(16,)), seed, fixed=fixed)
-    for half in (learner.net.actor.even, learner.net.actor.odd):
-        half[-1].weight.data *= gain
-    return policy_arrays(learner) | learner_state(learner)
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ from agility_ref.world import height_map
 import mujoco
 import numpy as np
 import pytest
-from conftest import random_arrays
+from made import random_arrays
 from PIL import Image
 
 CONFIG = EvaluationConfig(difficulty=0.3)

@@ -16,7 +16,7 @@ CONFIG = EvaluationConfig(difficulty=0.3, seed=4)
 def random_policy():
     from agility_ref.policy import Policy
 
-    from conftest import random_arrays
+    from made import random_arrays
 
     return Single("random", Policy.from_arrays(random_arrays(0, gain=100.0), {"policy": "random", "act_dim": 12}))
 

@@ -23,7 +23,7 @@ from agility_ref.selector import Single, oracle_hierarchy
 
 import numpy as np
 import pytest
-from conftest import random_arrays
+from made import random_arrays
 from PIL import Image
 
 CONFIG = EvaluationConfig(difficulty=0.3)
