@@ -42,8 +42,8 @@ def _row(env: Go1Env, action: np.ndarray, first: bool) -> dict[str, np.ndarray]:
     simulation = env.simulation
     feet = simulation.foot_pos[:, OTHER_FEET]
     clearance = feet[:, :, 2] - FOOT_RADIUS - env.world.ground(env.course[:, None], feet)
-    force = -simulation.sensors[:, FOOT_TOUCH].reshape(-1, 4, 4)[:, OTHER_FEET, 1:]
-    velocity = simulation.sensors[:, FOOT_VELOCITY].reshape(-1, 4, 3)[:, OTHER_FEET]
+    force = -simulation.sensors[:, simulation.columns(FOOT_TOUCH)].reshape(-1, 4, 4)[:, OTHER_FEET, 1:]
+    velocity = simulation.sensors[:, simulation.columns(FOOT_VELOCITY)].reshape(-1, 4, 3)[:, OTHER_FEET]
     return {
         "position": env.base_pos,
         "quaternion": simulation.qpos[:, [4, 5, 6, 3]].copy(),

@@ -6,10 +6,10 @@ import adapters
 import numpy as np
 from hw5.runners import Runners
 
-# Mean recall that a selector must reach on new courses.  The model solution, seeds 0 to 5: 0.966 to 0.987 where the
-# oracle goes; where it goes itself 0.942 to 0.973 after DAgger (without, from as many states, 0.912 to 0.975).
-HELD_OUT = 0.92
-OWN_STATES = 0.9
+# Mean recall that a selector must reach on new courses.  The model solution, seeds 0 to 5 and 6001 to 6003: 0.93 to 0.99
+# where the oracle goes; where it goes itself 0.89 to 0.97 after DAgger.
+HELD_OUT = 0.88
+OWN_STATES = 0.82
 
 
 class Line:
