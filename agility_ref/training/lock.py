@@ -11,7 +11,7 @@ import errno
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -53,17 +53,15 @@ def locked(folder: Path, wait: bool = False, quiet: bool = True) -> Iterator[Non
         while file is None:
             time.sleep(POLL_SECONDS)
             file = _take(path)
-    with file:
-        file.truncate(0)
-        file.write(str(os.getpid()).encode())
-        file.flush()
-        try:
-            yield
-        finally:
-            try:
-                path.unlink(missing_ok=True)  # while we hold it: nobody else's is deleted
-            except PermissionError:  # on Windows, where an open file cannot be
-                pass
+    try:
+        with suppress(OSError):  # of a full disk: then nobody is told who holds it
+            os.ftruncate(file.fileno(), 0)
+            os.write(file.fileno(), str(os.getpid()).encode())
+        yield
+    finally:
+        with suppress(PermissionError):  # on Windows, where an open file cannot be deleted
+            path.unlink(missing_ok=True)  # while we hold it: nobody else's is deleted
+        file.close()
 
 
 def _take(path: Path) -> IO[bytes] | None:
