@@ -200,6 +200,18 @@ def sample(distribution: Distribution, generator: torch.Generator) -> torch.Tens
     return distribution.mean + distribution.stddev * torch.randn(distribution.mean.shape, generator=generator)
 
 
+def kl_divergence(old: Distribution, new: Distribution) -> torch.Tensor:
+    """Return KL(old || new), shape (n,); finite where PyTorch's is not.
+
+    A selector that is sure of its skill gives the others probabilities that round to zero, of
+    which PyTorch makes an infinite divergence.  Their logarithms are finite.
+    """
+    if isinstance(old, Categorical):
+        # KL = sum_k p_k (log p_k - log q_k)
+        return (old.probs * (old.logits - new.logits)).sum(-1)
+    return torch.distributions.kl_divergence(old, new)
+
+
 def fit(
     parameters: Iterable[nn.Parameter],
     loss: Callable[[torch.Tensor], torch.Tensor],

@@ -16,12 +16,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 from agility_ref.errors import UserError, require_at_least
-from agility_ref.networks import ActorCritic, Normalizer, sample
+from agility_ref.networks import ActorCritic, Normalizer, kl_divergence, sample
 from agility_ref.observation import SCANDOT_STD, Mirror
 
 import numpy as np
 import torch
-from torch.distributions import kl_divergence
 
 
 @dataclass(frozen=True)

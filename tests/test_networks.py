@@ -1,4 +1,4 @@
-from agility_ref.networks import ActorCritic, EquivariantMLP, Normalizer, PairedElu, fit, sample
+from agility_ref.networks import ActorCritic, EquivariantMLP, Normalizer, PairedElu, fit, kl_divergence, sample
 from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOT_MIRROR, Mirror
 from agility_ref.policy import Policy
 
@@ -307,3 +307,15 @@ def test_normalised_data_is_standard():
 
 def test_outliers_are_clipped_at_five():
     np.testing.assert_array_equal(Normalizer(PLAIN(2))(np.array([[1e6, -1e6]], np.float32)), [[5.0, -5.0]])
+
+
+def test_divergence_of_a_selector_that_is_sure():
+    """A skill whose probability rounds to zero: p = (1, 0), q = (1, 0) but for exp(-200) and exp(-300)."""
+    old, new = (Categorical(logits=torch.tensor([[0.0, -x]])) for x in (200.0, 300.0))
+    assert kl_divergence(old, new).item() == pytest.approx(0.0, abs=1e-6)
+    # KL((1/2, 1/2) || (1/4, 3/4)) = log 2 / 2 + log(2/3) / 2
+    half, skewed = (Categorical(probs=torch.tensor([[p, 1.0 - p]])) for p in (0.5, 0.25))
+    assert kl_divergence(half, skewed).item() == pytest.approx(0.5 * np.log(2.0) + 0.5 * np.log(2.0 / 3.0))
+    # where nothing rounds to zero it is PyTorch's
+    a, b = (Categorical(logits=torch.tensor(rows)) for rows in ([[0.1, 2.0, -1.0]], [[1.0, 0.0, 0.5]]))
+    torch.testing.assert_close(kl_divergence(a, b), torch.distributions.kl_divergence(a, b))
