@@ -6,18 +6,23 @@ from pathlib import Path
 from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig
 from agility_ref.results import table1
-from agility_ref.results.cells import enter, find_cell
+from agility_ref.results.cells import Cell, cell_path, enter, origin, read_cell
 from agility_ref.training.bank import WeightsConfig
 
 
-def refuse(policy: str, environment: str, seed: int) -> None:
-    """Refuse to play a cell here: it belongs to a rule of its own.
+def stored(policy: str, environment: str, training: WeightsConfig, config: EvaluationConfig, folder: Path) -> Cell:
+    """Read a cell, which a rule of its own has made; nothing is played here.
 
     Raises
     ------
-    UserError : always
+    UserError : it was not made from these weights and files
     """
-    raise UserError(f"the cell of {policy} on {environment}, seed {seed}, was not made from these weights and files")
+    entrant = enter(policy, training)
+    path = cell_path(folder, entrant.policy, environment, training.seed)
+    cell = read_cell(path, origin(entrant, environment, config))
+    if cell is None:
+        raise UserError(f"{path} was not made from these weights and files")
+    return cell
 
 
 if __name__ == "__main__":
@@ -34,7 +39,6 @@ if __name__ == "__main__":
     for seed in args.seeds:
         training = WeightsConfig(preset=args.preset, seed=seed, out=args.runs)
         for policy, environment in (cell.split(":") for cell in args.cells):
-            found = find_cell(enter(policy, training), environment, config, args.results / "cells", refuse)
-            cells[policy, environment, seed] = found
+            cells[policy, environment, seed] = stored(policy, environment, training, config, args.results / "cells")
     rows = table1.table_rows(cells)
     table1.write_all(rows, args.results, table1.title(config, rows))
