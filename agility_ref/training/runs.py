@@ -53,7 +53,15 @@ from agility_ref.training.lock import locked
 from agility_ref.training.policies import PolicySpec, find_policy, requirements
 from agility_ref.training.progress import EPISODE, ProgressLog, StopRequest, attempt, rows_until, versions
 from agility_ref.training.sight import sight
-from agility_ref.training.state import check_arrays, go_on, learner_state, policy_arrays, robots_state, warm_start
+from agility_ref.training.state import (
+    check_arrays,
+    go_on,
+    has_blocks,
+    learner_state,
+    policy_arrays,
+    robots_state,
+    warm_start,
+)
 
 import numpy as np
 
@@ -164,7 +172,10 @@ def _prepare(spec: PolicySpec, config: TrainConfig, quiet: bool, draw: Draw | No
     shipped = []
     for other in requirements(spec.name) if config.warm_start else spec.skills + spec.teachers:
         own = run_folder(config.root, other, config.seed)
-        if unfinished(own) or find_weights(other, config) is None:
+        found = None if unfinished(own) else find_weights(other, config)
+        # Shipped weights that are older than symmetric networks act, but nothing can start from them.
+        starts = other != spec.warm_start or own.exists() or (found and has_blocks(read_npz(found)[0]))
+        if found is None or not starts:
             theirs = replace(config, steps=0, overwrite=False)
             _train_in_its_folder(find_policy(other), theirs, quiet, draw, needed=True)
         elif not own.exists():
@@ -296,7 +307,7 @@ def _resume_or_warm_start(
         source = weights_path(spec.warm_start, config)
         arrays, meta = read_npz(source)
         check_interface(source, meta, config.env)
-        if "net.log_std" not in arrays and "net.actor.even.0.weight" not in arrays:
+        if not has_blocks(arrays):
             raise UserError(f"{source} holds a network without symmetry; train {spec.warm_start} anew, with --out")
         hidden = tuple(meta.get("config", {}).get("ppo", {}).get("hidden", config.ppo.hidden))
         if hidden != tuple(config.ppo.hidden):

@@ -146,6 +146,11 @@ def check_arrays(
         raise UserError(f"{saved} can act but not be trained further: it lacks the state of its averages")
 
 
+def has_blocks(arrays: dict[str, np.ndarray]) -> bool:
+    """Whether a checkpoint holds the blocks of a symmetric actor, from which training can start."""
+    return any(name.startswith("net.actor.") for name in arrays)
+
+
 def warm_start(learner: Learner, arrays: dict[str, np.ndarray], steps: int, std: float, critic_steps: int = 0) -> None:
     """Go on from another policy's network after its ``steps``, with a fresh optimiser and exploration noise ``std``.
 

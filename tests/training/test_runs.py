@@ -356,6 +356,18 @@ def test_it_is_said_that_shipped_weights_are_used(config, finished_run, tmp_path
     assert "so from the shipped weights: walk" in capsys.readouterr().out
 
 
+def test_a_start_is_trained_where_the_shipped_one_can_only_act(config, finished_run, tmp_path, monkeypatch):
+    shipped = finished_run(tmp_path / "package", "walk", preset="quick", steps=BATCH) / "policy.npz"
+    arrays, meta = read_npz(shipped)
+    acting = {name: a for name, a in arrays.items() if not name.startswith(("net.", "optimizer."))}
+    write_npz(shipped, acting, {key: meta[key] for key in meta if key != "schema"})
+    monkeypatch.setattr("agility_ref.training.weights.shipped", lambda preset, policy, seed: shipped)
+    monkeypatch.setattr(runs, "_train_ppo", lambda spec, config, folder, quiet, draw: trained.append(spec.name))
+    trained = []
+    train_policy("climb", config, quiet=True)
+    assert trained == ["walk", "climb"]
+
+
 # --- numbers that go wrong -------------------------------------------------------------
 
 
