@@ -100,12 +100,9 @@ class Go1Env:
     ===================  ====  ===================================================
 
     **Reward**: :mod:`agility_ref.rewards`.
-
     **Start**: x = 1 m on the level platform, home pose, facing +x (in training, now and then
     anywhere); position, yaw and joints are perturbed a little, and a new command is drawn.
-
     **Disturbances**: a push every ``push_interval`` seconds; friction and payload per course.
-
     **Terminated**: tipped over (tilt above ``max_tilt``), left the lane, trunk less than
     ``fall_clearance`` above the surface that should carry it, over a beam's span no foot at the
     beam's height, in training ``stall_seconds`` without a waypoint, or the simulation failed.
@@ -116,7 +113,6 @@ class Go1Env:
     the running ``reward``, ``length``, ``waypoints`` and ``edge`` sums *before* the reset, to be read
     where it is done; ``feet_on_edge`` (N,), feet that violate an edge in this step; ``kind`` (N,),
     number of the kind of course.
-
     **Autoreset**: Gymnasium's SAME_STEP, or DISABLED with ``autoreset=False``.
 
     Foot positions and contacts are those at the start of the last physics step, 10 ms
@@ -165,8 +161,7 @@ class Go1Env:
         self._qpos, self._qvel = self.simulation.qpos, self.simulation.qvel
         self._sensors = [self.simulation.columns(names) for names in (FOOT_TOUCH, FOOT_VELOCITY, BODY_TOUCH)]
 
-        n = num_envs
-        self._everyone = np.arange(n)
+        n, self._everyone = num_envs, np.arange(num_envs)
         self.course, self.waypoint_index = np.zeros(n, int), np.zeros(n, int)
         self.command = np.ones(n)
         self.base_lin_vel, self.projected_gravity = np.zeros((2, n, 3))  # in the trunk's frame [m/s]

@@ -114,7 +114,7 @@ class SupervisedConfig:
     dagger_rounds: int = 1  # rounds collected with the learner's own choices after the oracle's; 0 for the paper's
     epochs: int = 6  # passes over the data per round; usual 5 to 30
     batch_size: int = 1024  # states per gradient step; usual 256 to 4096
-    learning_rate: float = 1e-3  # adam's step size
+    learning_rate: float = 1e-3  # Adam's step size
     hidden: tuple[int, ...] = (128, 128)  # 132 x 128 x 128 x n in the paper
 
 

@@ -40,8 +40,8 @@ def as_published(
 
     Not reproduced, because it lies in the task and not in the counting:
 
-    * reward weights, and the clipping of the reward at zero (``env.clip_reward_at_zero``);
-      there the edge term counts on a fifth of the courses alone;
+    * reward weights, and the clipping of the reward at zero; there the edge term counts on a fifth of the
+      courses alone;
     * from a robot's second episode on, the original allows 1001 steps; here 1000;
     * on ``gap`` the original's waypoints stand before each gap, ours behind it;
     * edges across the lane alone, where ours count along both axes (``World(edges="x")``);
