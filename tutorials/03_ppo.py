@@ -311,8 +311,8 @@ print(f"time: {time.perf_counter() - STARTED:.0f} s")
 # <details><summary>Answer, and the surprise</summary>
 #
 # The learner with the bug believes that the world ends at the goal.  Behind it is nothing, before it 0.2 a second for being
-# alive.  So it runs, because running pays, gets slower and slower, and never arrives: it waits in front of the goal until
-# the clock runs out.  It is an excellent solution of the wrong problem.
+# alive.  So it runs, because running pays, gets slower and slower, and waits in front of the goal until the clock runs out.
+# It arrives only when exploration pushes it over the line.  It is an excellent solution of the wrong problem.
 #
 # The surprise is the left picture: **its return is the higher one**.  A runner that arrives stops collecting, so by the
 # curve that everybody watches, the bug is an improvement.  Nothing crashes, the losses fall, the reward rises.  Two things

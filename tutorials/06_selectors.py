@@ -18,7 +18,7 @@
 # DAgger), and ends with a selector that learns by trial and error, and with the way in which those go wrong: they forget
 # skills (paper section 3.2).
 #
-# It takes about a minute.  As a notebook it shows its figures below the cells; `python tutorials/06_selectors.py` writes
+# It takes about a minute and a half.  As a notebook it shows its figures below the cells; `python tutorials/06_selectors.py` writes
 # them into the folder `figures/` of the directory you start it from.
 
 # %%
@@ -195,8 +195,8 @@ for what, after, before in (
 three = load_bank(find_policy("ps-rl-3").skills, config)
 NAMES = tuple(three)
 rows = {"oracle": evaluate(oracle_hierarchy("oracle", three), "climb-gap", settings)}
-for reward in ("env", "oracle"):
-    for seed in (0, 1, 2):
+for reward, seeds in (("env", (0, 1, 2)), ("oracle", (0,))):
+    for seed in seeds:
         chosen = evaluate(load_policy(f"ps-rl-3-{reward}", replace(config, seed=seed)), "climb-gap", settings)
         rows[f"rewarded by {'the environment' if reward == 'env' else 'the oracle'}, seed {seed}"] = chosen
 
