@@ -108,6 +108,7 @@ def ship(run: Path, folder: Path = FOLDER) -> Path:
     dropped = ("optimizer.", "curriculum.") + (() if meta["policy"] in WARM_STARTS else ("net.", "normalizer.count"))
     kept = {name: a for name, a in arrays.items() if not name.startswith(dropped)}
     path = folder / file_name(meta["preset"], meta["policy"], meta["seed"])
+    meta["config"]["out"] = ""  # where it was trained is nobody's business
     write_npz(path, kept, {key: value for key, value in meta.items() if key != "schema"})
     record = {key: meta[key] for key in ("policy", "preset", "seed", "steps", "wall_seconds", "courses", "versions")}
     progress = read_progress(run / "progress.csv")
