@@ -110,4 +110,5 @@ def test_what_the_package_ships_is_what_its_manifest_records():
     assert files == set(entries)
     for name in files:
         assert sha256(weights.FOLDER / name) == entries[name]["sha256"]
-    assert sum((weights.FOLDER / name).stat().st_size for name in files) <= 15e6
+    # plain float arrays take a fourteenth more than the byte planes of before, for which the bound was 15 MB
+    assert sum((weights.FOLDER / name).stat().st_size for name in files) <= 16e6
