@@ -285,7 +285,7 @@ axis, row, labels = axes[0, 0], 0, []
 for terrain in TERRAINS:
     a, b = (scores[policy, terrain] for policy in POLICIES)
     for text, colour, comparison in (
-        ("networks of seed 0", GREY, paired("distilled - gen-5", a[0], b[0])),
+        ("networks of seed 0", GREY, paired("distilled - gen-5", a[:1], b[:1])),
         ("bootstrap, seeds and courses", RED, paired("distilled - gen-5", a, b)),
         ("Student, three seeds", GREEN, over_seeds("distilled - gen-5", (a - b).mean(axis=1))),
     ):
