@@ -17,7 +17,10 @@ import fuzz_files
 ROOT = Path(__file__).parent.parent
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+POLITE = [pytest.param(how, marks=pytest.mark.slow) for how in (signal.SIGINT, signal.SIGTERM)]
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, *POLITE])
 def test_killed_and_resumed_training_is_training(tmp_path, how):
     counts = crash_test.crash_training(tmp_path, 2, how, iterations=60, seed=int(how))
     assert counts["kills"] == 2 and counts["lost iterations"] <= 2
@@ -74,7 +77,10 @@ def test_a_hostile_environment_is_none_of_training_business(tmp_path):
     assert (folder / "DONE").exists() and (folder / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("bytes_left", [0, 3000, 20_000])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize("bytes_left", [pytest.param(0, marks=SLOW), 3000, pytest.param(20_000, marks=SLOW)])
 def test_a_full_disk_is_one_line_and_the_last_policy_stays(tmp_path, bytes_left):
     """A limit on the size of files, which fails as a full disk or a quota does: in the middle of a write."""
 
