@@ -64,9 +64,6 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
 GROUPS = {"plot": "Draw a picture as PNG and SVG; KIND is one of those below."}
 
 
-RENDERING = (["video"],)  # the commands that draw with OpenGL
-
-
 def options_of(command: Command, every: bool) -> type:
     """Return the dataclass of a command's flags; of ``every`` one, or of those used first."""
     if not every or command.more is None:
@@ -148,7 +145,7 @@ def main(argv: list[str] | None = None) -> int:
         print(f"{PROGRAM} {__version__}")
         return 0
     try:
-        with no_graphics(needed=argv[:1] in RENDERING):
+        with no_graphics(needed=argv[:1] == ["video"]):  # the one command that draws with OpenGL
             command, options = parse(argv)
             command.run(options)
         sys.stdout.flush()
