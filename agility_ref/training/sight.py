@@ -3,7 +3,7 @@
 In:  the courses that a policy is trained on.  Out: bounds of its observation.
 """
 
-from agility_ref.observation import OBS_DIM, SCANDOT_ZERO, SCANDOTS, scandots
+from agility_ref.observation import OBS_DIM, SCANDOT_MIRROR, SCANDOT_ZERO, SCANDOTS, scandots
 from agility_ref.terrain import SPAWN_X
 from agility_ref.world import World
 
@@ -41,5 +41,6 @@ def sight(world: World) -> tuple[np.ndarray, np.ndarray]:
         for level in (lower, np.maximum(lower, world.ground(course, line))):
             views.append(scandots(world, on, np.column_stack([line, level + SCANDOT_ZERO]), np.zeros(len(x))))
     seen = np.concatenate(views)
+    seen = np.concatenate([seen, SCANDOT_MIRROR(seen)])  # else a policy and its mirror image see differently
     low[SCANDOTS], high[SCANDOTS] = seen.min(axis=0) - SIGHT_MARGIN, seen.max(axis=0) + SIGHT_MARGIN
     return low, high
