@@ -1,8 +1,8 @@
 """Live view: a policy at 50 Hz in the browser or in a window, and the same as a standalone page.
 
 The page is drawn by viser (https://viser.studio), which needs no graphics on this machine.
-There is no password, so it listens on 127.0.0.1 only; to watch from elsewhere, tunnel the port:
-``ssh -L 8080:localhost:8080 HOST``.  :func:`show` opens MuJoCo's own viewer instead.
+There is no password, so it listens on 127.0.0.1 only, and answers who asks for that machine by name;
+to watch from elsewhere, ``ssh -L 8080:localhost:8080 HOST``.  :func:`show` opens MuJoCo's own viewer instead.
 
 In:  a policy and an environment.
 Out: a page at http://localhost:8080, an .html file, or a window until it is closed.
@@ -21,6 +21,7 @@ from agility_ref.curriculum import find_preset
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError, unknown_name
 from agility_ref.evaluate import EvaluationConfig, check_evaluation
+from agility_ref.pictures.loopback import LOOPBACK, refusing_strangers
 from agility_ref.pictures.plots import skill_colour
 from agility_ref.pictures.record import Episode
 from agility_ref.pictures.scene import (
@@ -41,7 +42,6 @@ from agility_ref.world import World
 import mujoco
 import numpy as np
 
-LOOPBACK = "127.0.0.1"
 PUSH = 1.0  # [m/s] added to the trunk's velocity by a push
 MISSING = "the live view needs one more package: pip install viser; `agility-ref video` and `plot strobe` do not"
 
@@ -132,7 +132,7 @@ def open_server(port: int):
         import viser
     except ImportError:
         raise UserError(MISSING) from None
-    with contextlib.redirect_stdout(io.StringIO()):  # its banner; ours names the same address
+    with contextlib.redirect_stdout(io.StringIO()), refusing_strangers():  # no banner: ours names the same address
         server = viser.ViserServer(host=LOOPBACK, port=port, label="agility_ref", verbose=False)
     server.scene.set_up_direction("+z")
     server.gui.configure_theme(show_logo=False, show_share_button=False)

@@ -304,6 +304,40 @@ def test_only_loopback_answers(page):
             socket.create_connection((address, page), 2).close()
 
 
+def ask(port: int, path: str = "/", *headers: str) -> tuple[int, str]:
+    """Ask the page for a path with headers of our own, a Host among them; return status and body."""
+    with socket.create_connection(("127.0.0.1", port), 5) as link:
+        link.sendall("\r\n".join([f"GET {path} HTTP/1.1", *headers, "Connection: close", "", ""]).encode())
+        answer = b"".join(iter(lambda: link.recv(65536), b"")).decode(errors="replace")
+    return int(answer.split()[1]), answer.partition("\r\n\r\n")[2]
+
+
+WEBSOCKET = (
+    "Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13", "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==",
+)  # fmt: skip
+
+
+def test_pages_of_strangers_are_refused(page):
+    """A name that was made to point at loopback (DNS rebinding), and a stranger's page that opens our websocket."""
+    here = f"Host: localhost:{page}"
+    assert ask(page, "/", here)[0] == ask(page, "/", f"Host: 127.0.0.1:{page}")[0] == 200
+    assert ask(page, "/", here, f"Origin: http://localhost:{page}")[0] == 200
+    for host in ("rebound.example", f"rebound.example:{page}", "localhost.example", "127.0.0.1.example", "0.0.0.0", ""):
+        status, body = ask(page, "/", f"Host: {host}")
+        assert status == 403 and "127.0.0.1 alone" in body, host
+    assert ask(page, "/", here, "Host: rebound.example")[0] == 403
+    for upgrade in ((), WEBSOCKET):
+        for origin in ("http://rebound.example", "https://localhost.example", "null"):
+            assert ask(page, "/", here, f"Origin: {origin}", *upgrade)[0] == 403, origin
+
+
+def test_no_file_outside_the_page_is_served(page):
+    here, target = f"Host: localhost:{page}", "etc/passwd"
+    for up in ("../", "%2e%2e/", "..%2f", "%2e%2e%2f", "..%5c", "/", "%2f", "....//", "file:///"):
+        status, body = ask(page, f"/{up * 12}{target}", here)
+        assert status in (400, 404) and "root:" not in body, up
+
+
 def test_clip_stands_alone(episode, tmp_path):
     pytest.importorskip("viser", reason="viser is not installed")
     from agility_ref.pictures.viewer import clip
