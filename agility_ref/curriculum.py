@@ -13,7 +13,7 @@ Out: the index of each robot's next course in the :class:`~agility_ref.world.Wor
 
 from dataclasses import dataclass
 
-from agility_ref.errors import require_at_least, unknown_name
+from agility_ref.errors import MANY, require_at_least, unknown_name
 from agility_ref.files import pack_stream, unpack_stream
 from agility_ref.terrain import EASIEST, make_course
 from agility_ref.world import World
@@ -60,7 +60,8 @@ class CurriculumConfig:
     enabled: bool = True  # False draws every level uniformly, the ablation of section 4.2
 
     def __post_init__(self):
-        require_at_least(1, num_levels=self.num_levels, variants=self.variants)
+        require_at_least(1, MANY, num_levels=self.num_levels, variants=self.variants)
+        require_at_least(0, kind_floor=min(self.kind_floor, 1.0))  # which may be inf
 
 
 def level_difficulties(kind: str, max_difficulty: float, num_levels: int) -> np.ndarray:

@@ -8,20 +8,37 @@ import difflib
 from collections.abc import Iterable
 
 
+MANY = 2**24  # more robots, steps or units than any machine holds
+MAX_SEED = 2**63 - 1  # beyond it torch and JSON lose digits, or fail
+
+
 class UserError(Exception):  # not a ValueError, of which tyro would make a frame of several lines
     """What was given, and what is allowed, in one line."""
 
 
-def require_at_least(least: float, **given: float) -> None:
+def require_at_least(least: float, most: float = float("inf"), /, **given: float) -> None:
     """Refuse numbers of a configuration that would divide by zero, loop for ever or fill the memory.
 
     Raises
     ------
-    UserError : names the first field that is less than ``least``, or not finite
+    UserError : names the first field that is less than ``least``, more than ``most``, or not finite
     """
     for name, value in given.items():
         if not least <= value < float("inf"):
             raise UserError(f"{name.replace('_', '-')} must be a number of at least {least:g}, not {value}")
+        if value > most:
+            raise UserError(f"{name.replace('_', '-')} must be at most {most:g}, not {value}")
+
+
+def require_pairs(hidden: tuple[int, ...]) -> None:
+    """Refuse numbers of units per hidden layer that are odd, for half of them see the mirrored world.
+
+    Raises
+    ------
+    UserError : or less than 2, or more than MANY
+    """
+    if any(not 2 <= units <= MANY or units % 2 for units in hidden):
+        raise UserError(f"hidden must be even numbers of units, for they come in pairs, not {hidden}")
 
 
 def one_line(error: BaseException) -> str:

@@ -20,7 +20,7 @@ from functools import lru_cache
 
 from agility_ref.curriculum import find_preset
 from agility_ref.env import EnvConfig, Go1Env
-from agility_ref.errors import UserError, unknown_name
+from agility_ref.errors import MAX_SEED, UserError, require_at_least, unknown_name
 from agility_ref.selector import Hierarchy, Single
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, make_course
 from agility_ref.world import World
@@ -176,10 +176,8 @@ def check_evaluation(config: EvaluationConfig) -> None:
     """
     if config.protocol not in PROTOCOLS:
         raise unknown_name("protocol", config.protocol, PROTOCOLS)
-    if config.seed < 0:
-        raise UserError(f"seed must be at least 0, not {config.seed}")
-    if config.episodes < 1:
-        raise UserError(f"episodes must be at least 1, not {config.episodes}")
+    require_at_least(0, MAX_SEED, seed=config.seed)
+    require_at_least(1, episodes=config.episodes)
     if config.difficulty is not None and not 0.0 <= config.difficulty <= 1.0:
         raise UserError(f"difficulty must be between 0 and 1, not {config.difficulty}")
 

@@ -60,7 +60,8 @@ class PhysicsConfig:
 
     def __post_init__(self):
         require_at_least(1e-5, timestep=self.timestep)
-        require_at_least(1, substeps=self.substeps)
+        require_at_least(1, 1000, substeps=self.substeps, iterations=self.iterations, ls_iterations=self.ls_iterations)
+        require_at_least(0, 1e6, kp=self.kp, kd=self.kd)
 
 
 def _vec(*values: float) -> str:

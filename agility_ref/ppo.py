@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
-from agility_ref.errors import UserError, require_at_least
+from agility_ref.errors import MANY, UserError, require_at_least, require_pairs
 from agility_ref.networks import ActorCritic, Normalizer, kl_divergence, sample
 from agility_ref.observation import SCANDOT_STD, Mirror
 
@@ -48,14 +48,13 @@ class PPOConfig:
 
     def __post_init__(self):
         require_at_least(
-            1, num_envs=self.num_envs, num_steps=self.num_steps, update_epochs=self.update_epochs,
+            1, MANY, num_envs=self.num_envs, num_steps=self.num_steps, update_epochs=self.update_epochs,
             num_minibatches=self.num_minibatches,
         )  # fmt: skip
         require_at_least(1e-9, init_std=self.init_std, final_std=self.final_std, learning_rate=self.learning_rate)
         if self.num_minibatches > self.batch_size:
             raise UserError(f"num-minibatches must be at most {self.batch_size} steps, not {self.num_minibatches}")
-        if any(units < 2 or units % 2 for units in self.hidden):
-            raise UserError(f"hidden must be even numbers of units, for they come in pairs, not {self.hidden}")
+        require_pairs(self.hidden)
 
     @property
     def batch_size(self) -> int:

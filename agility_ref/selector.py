@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from agility_ref.env import ACTION_DIM, Go1Env
+from agility_ref.errors import require_at_least, require_pairs
 from agility_ref.observation import OBS_DIM, SCANDOT_MIRROR, SCANDOT_STD, SCANDOTS, Mirror
 from agility_ref.policy import Policy
 from agility_ref.terrain import SKILLS
@@ -115,7 +116,11 @@ class SupervisedConfig:
     epochs: int = 6  # passes over the data per round; usual 5 to 30
     batch_size: int = 1024  # states per gradient step; usual 256 to 4096
     learning_rate: float = 1e-3  # Adam's step size
-    hidden: tuple[int, ...] = (128, 128)  # 132 x 128 x 128 x n in the paper
+    hidden: tuple[int, ...] = (128, 128)  # 132 x 128 x 128 x n in the paper; even numbers
+
+    def __post_init__(self):
+        require_at_least(1, epochs=self.epochs, batch_size=self.batch_size)
+        require_pairs(self.hidden)
 
 
 def visit(env: Go1Env, actor: Hierarchy | Single, num_states: int, action_noise: float = 0.0) -> Iterator[np.ndarray]:

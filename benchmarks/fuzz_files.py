@@ -1,18 +1,20 @@
 """Fuzz the files: damaged, absurd and malicious ones are refused in one line, or are as good as new.
 
-    python benchmarks/fuzz_files.py [--mutants 10000] [--seed 0]
+    python benchmarks/fuzz_files.py [--mutants 10000] [--first 0] [--seed 0]
 
 Every kind of file that the package reads is mutated: bits flipped, ends cut off, arrays swapped,
 of other types and shapes, infinite, of terabytes in name only, bombs, pickles that would run
 code, symbolic links, names with dots.  Each mutant is read as the package reads it.  What counts:
 an error of one line or a result that can be used (for a checkpoint that was damaged byte by byte:
-the very same arrays), less than 10 s, less than 2 GB, nothing executed, nothing written.
+the very same arrays), less than 10 s, less than 2 GB, nothing executed, nothing written.  Each
+mutant has a random stream of its own: ``--first 5123 --mutants 1`` tries number 5123 alone.
 
 In:  nothing.  Out: counts for each kind of file and mutation.
 """
 
 import argparse
 import csv
+import faulthandler
 import io
 import json
 import os
@@ -21,6 +23,7 @@ import resource
 import sys
 import tempfile
 import time
+import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Callable
@@ -322,20 +325,30 @@ def odd_files(path: Path, rng: random.Random) -> str:
     return how
 
 
-def fuzz(mutants: int, seed: int, folder: Path, log: Callable[[str], None] = lambda line: None) -> Counter:
-    """Read ``mutants`` damaged files; return how many were (refused | loaded | played again), by kind and mutation.
+def peak_megabytes() -> float:
+    """Return the most memory that this process has had."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def fuzz(
+    mutants: int, seed: int, folder: Path, first: int = 0, log: Callable[[str], None] = lambda line: None
+) -> Counter:
+    """Read ``mutants`` damaged files, from number ``first`` on.
+
+    Returns how many were (refused | loaded | played again), by kind and mutation.
 
     Raises
     ------
     RuntimeError : the first mutant that was treated otherwise
     """
-    rng, counts, mark = random.Random(seed), Counter(), folder / "executed"
+    counts, mark = Counter(), folder / "executed"
     files = Files(folder / "files")
     good = {kind: path.read_bytes() for kind, (path, _, _) in files.kinds.items()}
-    first = {kind: read(path) for kind, (path, _, read) in files.kinds.items()}
+    whole = {kind: read(path) for kind, (path, _, read) in files.kinds.items()}
     listing = sorted(folder.rglob("*"))
     shares = dict(zip(files.kinds, (5, 2, 1, 1, 1, 1), strict=True))
-    for mutant in range(mutants):
+    for mutant in range(first, first + mutants):
+        rng = random.Random(f"{seed} {mutant}")
         kind = rng.choices(list(shares), list(shares.values()))[0]
         path, mutate, read = files.kinds[kind]
         if rng.random() < 0.02:
@@ -354,9 +367,9 @@ def fuzz(mutants: int, seed: int, folder: Path, log: Callable[[str], None] = lam
         except BaseException as error:
             raise RuntimeError(f"mutant {mutant}, {kind}, {how}: {error!r}") from error
         damaged = how in ("flip", "cut", "zeros", "twice", "delete", "insert", "empty", "tail")
-        if outcome == "loaded" and damaged and first[kind] is not None:
-            for name in first[kind]:
-                np.testing.assert_array_equal(result[name], first[kind][name])
+        if outcome == "loaded" and damaged and whole[kind] is not None:
+            for name in whole[kind]:
+                np.testing.assert_array_equal(result[name], whole[kind][name])
         if path.is_dir() and not path.is_symlink():
             path.rmdir()
         else:
@@ -365,8 +378,10 @@ def fuzz(mutants: int, seed: int, folder: Path, log: Callable[[str], None] = lam
         if time.monotonic() - begun > 10.0 or sorted(folder.rglob("*")) != listing:
             raise RuntimeError(f"mutant {mutant}, {kind}, {how}: took {time.monotonic() - begun:.1f} s, or left files")
         counts[kind, how, outcome] += 1
-        if mutant % 1000 == 999:
-            log(f"{mutant + 1} mutants")
+        if peak_megabytes() > 2048:
+            raise RuntimeError(f"mutant {mutant}, {kind}, {how}: {peak_megabytes():.0f} MB")
+        if mutant % 500 == 499:
+            log(f"mutants to {mutant}: {peak_megabytes():.0f} MB at the peak")
     return counts
 
 
@@ -374,12 +389,15 @@ def main() -> None:
     """Run the test that the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--mutants", type=int, default=10_000)
+    parser.add_argument("--first", type=int, default=0, help="number of the first")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
+    faulthandler.enable()  # names the line, should a mutant end this process
+    warnings.simplefilter("ignore")  # of numpy and zipfile, about what the mutations do
     begun = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         try:
-            counts = fuzz(args.mutants, args.seed, Path(folder), lambda line: print(line, flush=True))
+            counts = fuzz(args.mutants, args.seed, Path(folder), args.first, lambda line: print(line, flush=True))
         except RuntimeError as error:
             sys.exit(f"fuzz_files: {error}")
     kinds = dict.fromkeys(kind for kind, _, _ in counts)
@@ -388,8 +406,9 @@ def main() -> None:
         for (of, _, outcome), number in counts.items():
             totals[outcome] += number * (of == kind)
         print(f"{kind:12}" + ", ".join(f"{number} {outcome}" for outcome, number in totals.items() if number))
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"{sum(counts.values())} of {args.mutants}; peak memory {peak:.0f} MB; {time.monotonic() - begun:.0f} s")
+    print(
+        f"{sum(counts.values())} of {args.mutants}; peak memory {peak_megabytes():.0f} MB; {time.monotonic() - begun:.0f} s"
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-from agility_ref.errors import UserError, require_at_least, unknown_name
+import contextlib
+
+from agility_ref.errors import MANY, MAX_SEED, UserError, require_at_least, require_pairs, unknown_name
 
 import pytest
 
@@ -15,6 +17,18 @@ def test_others_are_refused_by_the_name_of_their_flag(value, shown):
     with pytest.raises(UserError) as refusal:
         require_at_least(1, num_envs=2, num_steps=value, update_epochs=-5)  # the first that is wrong
     assert str(refusal.value) == f"num-steps must be a number of at least 1, not {shown}"
+
+
+def test_there_may_be_a_greatest_too():
+    assert require_at_least(0, MAX_SEED, seed=2**63 - 1) is None
+    with pytest.raises(UserError, match=r"^seed must be at most 9\.22337e\+18, not 9223372036854775808$"):
+        require_at_least(0, MAX_SEED, seed=2**63)
+
+
+@pytest.mark.parametrize("hidden, right", [((), True), ((2,), True), ((64, 8), True), ((0,), False), ((64, 7), False), ((MANY + 2,), False), ((-2,), False)])
+def test_units_come_in_pairs(hidden, right):
+    with contextlib.nullcontext() if right else pytest.raises(UserError, match="come in pairs"):
+        require_pairs(hidden)
 
 
 def test_the_nearest_names_come_first():

@@ -79,12 +79,13 @@ class ExportMJCF:
 
 def export_mjcf(args: ExportMJCF) -> None:
     """Export one course with the robot on it."""
-    from agility_ref.errors import unknown_name
+    from agility_ref.errors import MAX_SEED, require_at_least, unknown_name
     from agility_ref.pictures.mjcf import write_mjcf
     from agility_ref.terrain import COURSE_KINDS, EASIEST, make_course
 
     if args.environment not in COURSE_KINDS:
         raise unknown_name("environment", args.environment, COURSE_KINDS)
+    require_at_least(0, MAX_SEED, seed=args.seed)
     low = EASIEST[args.environment]
     if not low <= args.difficulty <= 1.0:
         raise UserError(f"difficulty of {args.environment} is from {low:g} to 1, not {args.difficulty}")

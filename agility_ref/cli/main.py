@@ -154,6 +154,9 @@ def main(argv: list[str] | None = None) -> int:
     except UserError as error:
         print(f"{PROGRAM}: {one_line(error)}", file=sys.stderr)
         return 2
+    except MemoryError as error:
+        print(f"{PROGRAM}: not enough memory: {one_line(error)}", file=sys.stderr)
+        return 2
     except BrokenPipeError:  # the reader of our output, `head` for one, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 from agility_ref.cli.commands import Environment, Evaluated, File, Folder, Policy, Preset, command_line, take
-from agility_ref.errors import UserError
+from agility_ref.errors import MAX_SEED, UserError, require_at_least
 
 import tyro
 
@@ -204,8 +204,7 @@ def plot_oracle_map(options: OracleMap) -> None:
     """Draw the oracle policy map."""
     from agility_ref.pictures.pictures import oracle_map
 
-    if options.courses < 1 or options.robots < 1:
-        raise UserError("--courses and --robots must be at least 1")
+    require_at_least(1, courses=options.courses, robots=options.robots)
     _save_played(options, "oracle-map", oracle_map, options.courses, options.robots)
 
 
@@ -246,8 +245,7 @@ def plot_courses(options: Courses) -> None:
     """Draw the course gallery."""
     from agility_ref.pictures.pictures import course_gallery
 
-    if options.seed < 0:
-        raise UserError(f"seed must be at least 0, not {options.seed}")
+    require_at_least(0, MAX_SEED, seed=options.seed)
     _save(lambda: course_gallery(seed=options.seed), Path(options.out))
 
 

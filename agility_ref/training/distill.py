@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from agility_ref.env import Go1Env
+from agility_ref.errors import require_at_least
 from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOT_STD, SCANDOTS
 from agility_ref.selector import Hierarchy, Single, visit
 
@@ -42,6 +43,9 @@ class DistillConfig:
     """States per gradient step; usual 256 to 4096."""
     learning_rate: float = 1e-3
     """Adam's step size, falling to zero in each round."""
+
+    def __post_init__(self):
+        require_at_least(1, epochs=self.epochs, batch_size=self.batch_size)
 
 
 @dataclass(frozen=True)

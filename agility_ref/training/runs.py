@@ -21,7 +21,7 @@ from pathlib import Path
 
 from agility_ref.curriculum import Curriculum, CurriculumConfig, find_preset, training_world
 from agility_ref.env import ACTION_DIM, Go1Env
-from agility_ref.errors import UserError, require_at_least
+from agility_ref.errors import MAX_SEED, UserError, require_at_least
 from agility_ref.files import remove_partials, write_csv, write_text
 from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOTS, Mirror
 from agility_ref.policy import Policy, beyond_use, read_npz, write_npz
@@ -97,7 +97,7 @@ class TrainConfig(WeightsConfig):
     """How PPO goes on from it."""
 
     def __post_init__(self):
-        require_at_least(0, seed=self.seed, steps=self.steps)
+        require_at_least(0, MAX_SEED, seed=self.seed, steps=self.steps)
         require_at_least(1e-9, warm_std=self.warm_std)
 
 

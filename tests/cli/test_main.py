@@ -372,15 +372,24 @@ def test_a_full_disk_is_one_line(monkeypatch, capsys):
 def test_a_table_is_refused_before_it_is_trained(monkeypatch, capsys):
     monkeypatch.setattr("agility_ref.results.table1.train_all", lambda *args: pytest.fail("trained"))
     assert main("table1 --train --episodes 0".split()) == 2
-    assert "episodes must be at least 1, not 0" in capsys.readouterr().err
+    assert "episodes must be a number of at least 1, not 0" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("flags, message", [
     ("--ppo.num-envs 0", "num-envs must be a number of at least 1, not 0"),
     ("--ppo.num-envs 2 --ppo.num-steps 3 --ppo.num-minibatches 7", "num-minibatches must be at most 6 steps, not 7"),
     ("--ppo.hidden 64 7", "hidden must be even numbers of units, for they come in pairs, not (64, 7)"),
+    ("--supervised.hidden 64 7", "hidden must be even numbers of units, for they come in pairs, not (64, 7)"),
+    ("--supervised.epochs 0", "epochs must be a number of at least 1, not 0"),
+    ("--distill.batch-size 0", "batch-size must be a number of at least 1, not 0"),
+    ("--seed 9223372036854775808", "seed must be at most 9.22337e+18, not 9223372036854775808"),
     ("--ppo.init-std nan", "init-std must be a number of at least 1e-09, not nan"),
     ("--ppo.learning-rate -1", "learning-rate must be a number of at least 1e-09, not -1.0"),
+    ("--ppo.num-envs 9223372036854775807", "num-envs must be at most 1.67772e+07, not 9223372036854775807"),
+    ("--env.push-interval 1e308", "push-interval must be at most 1e+06, not 1e+308"),
+    ("--env.start-noise -1", "start-noise must be a number of at least 0, not -1.0"),
+    ("--env.physics.kp nan", "kp must be a number of at least 0, not nan"),
+    ("--curriculum.kind-floor -1", "kind-floor must be a number of at least 0, not -1.0"),
     ("--env.noise -1", "noise must be a number of at least 0, not -1.0"),
     ("--env.command-low 0.9 --env.command-high 0.8", "command-high must be a number of at least 0.9, not 0.8"),
     ("--env.physics.substeps 0", "substeps must be a number of at least 1, not 0"),

@@ -380,7 +380,7 @@ def test_plot_curves_of_shipped_weights(tmp_path, monkeypatch):
     ("episode walk --environment gap --start 50", ["start must lie within the episode, 0 to", "got 50"]),
     ("episode walk --environment gap --start -1", ["start must lie within the episode", "got -1"]),
     ("strobe walk --environment gap --out walk.pdf", [".png", "'walk.pdf'"]),
-    ("courses --seed -1", ["seed must be at least 0, not -1"]),
+    ("courses --seed -1", ["seed must be a number of at least 0, not -1"]),
     ("courses --out runs/full/walk/seed0/policy.npz/x.png", ["policy.npz"]),
     ("curves", ["run folder"]),
     ("curves nowhere", ["nowhere", "progress.csv"]),

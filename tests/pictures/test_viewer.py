@@ -235,7 +235,7 @@ def test_single_policy_has_no_skills(oracle):
 @pytest.mark.parametrize("environment, config, message", [
     ("gaps", CONFIG, "unknown environment 'gaps'"),
     ("gap", EvaluationConfig(difficulty=2.0), "between 0 and 1, not 2.0"),
-    ("gap", EvaluationConfig(seed=-1), "seed must be at least 0, not -1"),
+    ("gap", EvaluationConfig(seed=-1), "seed must be a number of at least 0, not -1"),
 ])  # fmt: skip
 def test_bad_sessions_are_user_errors(oracle, environment, config, message):
     from agility_ref.pictures.viewer import Session
