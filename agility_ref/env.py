@@ -52,7 +52,7 @@ class EnvConfig:
     def __post_init__(self):
         require_at_least(1, action_repeat=self.action_repeat, scandot_period=self.scandot_period)
         require_at_least(1e-4, episode_seconds=self.episode_seconds, command_low=self.command_low)
-        require_at_least(0, 1e6, **{name: value for name, value in vars(self).items() if isinstance(value, int | float)})
+        require_at_least(0, 1e6, **{k: v for k, v in vars(self).items() if isinstance(v, int | float)})
         require_at_least(self.command_low, command_high=self.command_high)
         require_at_least(self.friction_low, friction_high=self.friction_high)
 

@@ -22,6 +22,7 @@ import pkgutil
 import random
 import resource
 import shlex
+import shutil
 import signal
 import sys
 import tempfile
@@ -41,9 +42,44 @@ from agility_ref.training.export import FORMS
 from agility_ref.training.policies import POLICIES
 
 WEIGHTS = Path(__file__).parent.parent / "agility_ref" / "weights"
-INTS = ("0", "1", "2", "3", "5", "-1", "64", "2147483648", "9223372036854775807", "9223372036854775808", "-9223372036854775809", "1" + "0" * 30)
+INTS = (
+    "0",
+    "1",
+    "2",
+    "3",
+    "5",
+    "-1",
+    "64",
+    "2147483648",
+    "9223372036854775807",
+    "9223372036854775808",
+    "-9223372036854775809",
+    "1" + "0" * 30,
+)
 FLOATS = ("0", "1", "0.5", "0.1", "-1", "1e-9", "1e-300", "1e30", "1e308", "1e400", "nan", "inf", "-inf", "3")
-TEXTS = ("", " ", "x", "-", "--", "-1", "None", "True", "a b", "é", "\x1b[2J", "a\nb", "*", "~", "x" * 300, "1_0", "0x10", "١", "{}", "%s", "\udcff")
+TEXTS = (
+    "",
+    " ",
+    "x",
+    "-",
+    "--",
+    "-1",
+    "None",
+    "True",
+    "a b",
+    "é",
+    "\x1b[2J",
+    "a\nb",
+    "*",
+    "~",
+    "x" * 300,
+    "1_0",
+    "0x10",
+    "١",
+    "{}",
+    "%s",
+    "\udcff",
+)
 FOLDERS = ("new", "made", "file", "none/such", "made/../new2", "loop", "/dev/null", "/proc/nowhere", "x" * 300)
 NAMES = {
     "POLICY": (*POLICIES, "gen5", "climb_up", str(WEIGHTS / "walk-quick-seed0.npz")), "ENVIRONMENT": (*COURSE_KINDS, "clim"), "PRESET": (*PRESETS, "fast"),
@@ -87,7 +123,9 @@ def value(kind: object, rng: random.Random, wild: float) -> list[str]:
         bare = rng.choice(typing.get_args(bare))
     several = typing.get_origin(bare) is tuple
     inner = typing.get_args(bare)[0] if several else bare
-    choices = NAMES.get(metavar) or {int: INTS, float: FLOATS, bool: ("True", "False"), types.NoneType: ("None",)}.get(inner, TEXTS)
+    choices = NAMES.get(metavar) or {int: INTS, float: FLOATS, bool: ("True", "False"), types.NoneType: ("None",)}.get(
+        inner, TEXTS
+    )
     # The first choices of a list are the ordinary ones.
     ordinary = choices[: max(3, len(choices) // 2)] if rng.random() < 0.7 else choices
     return [rng.choice(ordinary) for _ in range(rng.randrange(4) if several else 1)]
@@ -106,14 +144,19 @@ def line(grammar: dict[tuple[str, ...], list], rng: random.Random) -> list[str]:
     words += [word for _, kind, _ in positional if rng.random() > 0.1 * wild for word in value(kind, rng, wild)]
     if command[0] in ("evaluate",) and rng.random() > wild:
         chosen["environment"] = dict((name, kind) for name, kind, _ in known)["environment"]
-    words += [word for name, small in SMALL.get(command[0], {}).items() if name not in chosen for word in (f"--{name}", small)]
+    words += [
+        word for name, small in SMALL.get(command[0], {}).items() if name not in chosen for word in (f"--{name}", small)
+    ]
     for name, kind in chosen.items():
         if kind is bool:
             words.append(f"--{rng.choice(('', 'no-'))}{name.replace('.', '.', 1)}")
         else:
             words += [f"--{name}", *value(kind, rng, wild)]
     if rng.random() < wild:
-        words.insert(rng.randrange(len(words) + 1), rng.choice((*TEXTS, "--help", "--help-all", "--version", "-h", "--no-such-flag", *grammar)[0:]) or "x")
+        words.insert(
+            rng.randrange(len(words) + 1),
+            rng.choice((*TEXTS, "--help", "--help-all", "--version", "-h", "--no-such-flag", *grammar)[0:]) or "x",
+        )
     return [word if isinstance(word, str) else word[0] for word in words]
 
 
@@ -131,7 +174,12 @@ class Watched:
         """Note programs that are started, and paths outside the folder that are written."""
         if event in ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn"):
             self.seen.append(f"{event} {args[:2]}")
-        elif event == "open" and isinstance(args[0], str | bytes) and isinstance(args[2], int) and args[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+        elif (
+            event == "open"
+            and isinstance(args[0], str | bytes)
+            and isinstance(args[2], int)
+            and args[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT)
+        ):
             self.written(event, args[0])
         elif event in ("os.mkdir", "os.remove", "os.rmdir", "os.truncate", "shutil.rmtree"):
             self.written(event, args[0])
@@ -148,15 +196,23 @@ class Watched:
 
 
 def scene(folder: Path) -> None:
-    """Make what the values of the flags name."""
-    (folder / "made").mkdir(exist_ok=True)
+    """Make what the values of the flags name, and nothing else: a run in ``made``, which is also the default folder."""
+    for path in folder.iterdir():
+        if path.is_symlink() or not path.is_dir():
+            path.unlink()
+        elif path.name != ".made":
+            shutil.rmtree(path)
     (folder / "file").write_text("no folder")
-    if not (folder / "loop").is_symlink():
-        (folder / "loop").symlink_to("loop")
+    (folder / "loop").symlink_to("loop")
+    if (folder / ".made").is_dir():
+        for name in ("made", "runs/quick"):
+            shutil.copytree(folder / ".made", folder / name)
 
 
 def interrupt(*_) -> None:
-    """Press Ctrl-C; and where that helps nothing for long, fail."""
+    """Press Ctrl-C while a command runs; and where that helps nothing for long, fail."""
+    if not interrupt.armed:
+        return
     interrupt.pressed += 1
     if interrupt.pressed == 20:
         raise RuntimeError("it cannot be interrupted")
@@ -166,7 +222,7 @@ def interrupt(*_) -> None:
 def run(words: list[str], seconds: float) -> tuple[int | str, str]:
     """Run one command line; return its exit status, or the exception that escaped, and what it said on standard error."""
     out, said = io.StringIO(), io.StringIO()
-    interrupt.pressed = 0
+    interrupt.pressed, interrupt.armed = 0, True
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(said):
         try:
             signal.setitimer(signal.ITIMER_PROF, seconds, seconds)
@@ -175,12 +231,18 @@ def run(words: list[str], seconds: float) -> tuple[int | str, str]:
         except BaseException as error:  # what a shell would show as a traceback
             status = f"{type(error).__name__}: {error}"
         finally:
-            for timer in (signal.ITIMER_PROF, signal.ITIMER_REAL):
-                signal.setitimer(timer, 0)
+            interrupt.armed = False
     return status, said.getvalue()
 
 
-def fuzz(lines: int, seed: int, folder: Path, first: int = 0, seconds: float = 1.0, log: Callable[[str], None] = lambda text: None) -> tuple[Counter, list[str]]:
+def fuzz(
+    lines: int,
+    seed: int,
+    folder: Path,
+    first: int = 0,
+    seconds: float = 1.0,
+    log: Callable[[str], None] = lambda text: None,
+) -> tuple[Counter, list[str]]:
     """Run ``lines`` command lines, from number ``first`` on.
 
     Returns how many of each command ended with which status, and the faults.
@@ -189,7 +251,9 @@ def fuzz(lines: int, seed: int, folder: Path, first: int = 0, seconds: float = 1
     for name, entry in COMMANDS.items():
         for kind, command in entry.items() if isinstance(entry, dict) else [("", entry)]:
             grammar[(name, kind) if kind else (name,)] = list(flags_of(options_of(command, every=True)))
-    for module in pkgutil.walk_packages(agility_ref.__path__, "agility_ref."):  # an import that is interrupted stays half done
+    for module in pkgutil.walk_packages(
+        agility_ref.__path__, "agility_ref."
+    ):  # an import that is interrupted stays half done
         if module.name not in ("agility_ref.__main__", "agility_ref.gym"):
             importlib.import_module(module.name)
     here, counts = Path.cwd(), Counter()
@@ -198,20 +262,28 @@ def fuzz(lines: int, seed: int, folder: Path, first: int = 0, seconds: float = 1
     scene(folder)
     os.chdir(folder)
     try:
+        interrupt.armed = False
         # What is imported late, here and in torch and matplotlib, is imported now; and a finished run is made.
         small = [word for name, small in SMALL["train"].items() for word in (f"--{name}", small)]
-        for words in (["train", "walk", "--out", "made", *small], ["plot", "courses"], ["plot", "run", "made/walk/seed0"]):
+        for words in (
+            ["train", "walk", "--out", ".made", *small],
+            ["plot", "courses"],
+            ["plot", "run", ".made/walk/seed0"],
+        ):
             if (ended := run(words, 600.0)) != (0, ended[1]):
                 raise RuntimeError(f"{words}: {ended}")
+        scene(folder)
         watched = Watched(folder)
         for number in range(first, first + lines):
             words = line(grammar, random.Random(f"{seed} {number}"))
             begun = time.monotonic()
             watched.seen.clear()
             for _ in range(3):  # a Ctrl-C that meets C code, or a destructor, is reported by it as it likes
-                status, said = run(words, seconds)
-                if not interrupt.pressed or status in (0, 2, 130):
-                    break
+                with contextlib.suppress(KeyboardInterrupt):  # it came as the command ended
+                    status, said = run(words, seconds)
+                    if not interrupt.pressed or (status in (0, 2, 130) and "Traceback" not in said):
+                        break
+                interrupt.armed = False
             scene(folder)
             typed = f"line {number}: agility-ref {shlex.join(words)}"
             if status not in (0, 2, 130) or "Traceback" in said or (status == 2 and not said.strip()) or watched.seen:
@@ -222,6 +294,8 @@ def fuzz(lines: int, seed: int, folder: Path, first: int = 0, seconds: float = 1
             log(f"{status:3} {time.monotonic() - begun:5.1f} s  {ascii(typed)[:200]}")
     finally:
         os.chdir(here)
+        for timer in (signal.ITIMER_PROF, signal.ITIMER_REAL):
+            signal.setitimer(timer, 0)
         for number, handler in handlers.items():
             signal.signal(number, handler)
     return counts, faults
@@ -242,7 +316,10 @@ def fuzz_all() -> None:
         log = (lambda text: print(text, flush=True)) if args.verbose else (lambda text: None)
         counts, faults = fuzz(args.lines, args.seed, Path(folder), args.first, args.seconds, log)
     for status in sorted({status for _, status in counts}):
-        print(f"status {status}: " + ", ".join(f"{n} {command}" for (command, s), n in sorted(counts.items()) if s == status))
+        print(
+            f"status {status}: "
+            + ", ".join(f"{n} {command}" for (command, s), n in sorted(counts.items()) if s == status)
+        )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"{counts.total()} of {args.lines}; peak memory {peak:.0f} MB; {time.monotonic() - begun:.0f} s")
     if faults:

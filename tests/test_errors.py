@@ -25,7 +25,10 @@ def test_there_may_be_a_greatest_too():
         require_at_least(0, MAX_SEED, seed=2**63)
 
 
-@pytest.mark.parametrize("hidden, right", [((), True), ((2,), True), ((64, 8), True), ((0,), False), ((64, 7), False), ((MANY + 2,), False), ((-2,), False)])
+@pytest.mark.parametrize(
+    "hidden, right",
+    [((), True), ((2,), True), ((64, 8), True), ((0,), False), ((64, 7), False), ((MANY + 2,), False), ((-2,), False)],
+)
 def test_units_come_in_pairs(hidden, right):
     with contextlib.nullcontext() if right else pytest.raises(UserError, match="come in pairs"):
         require_pairs(hidden)
