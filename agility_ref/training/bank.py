@@ -12,9 +12,9 @@ from pathlib import Path
 from agility_ref.curriculum import find_preset
 from agility_ref.env import ACTION_DIM, TRAINING, EnvConfig
 from agility_ref.errors import UserError
-from agility_ref.files import read_json
+from agility_ref.files import read_json, read_npz
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
-from agility_ref.policy import Policy, read_npz
+from agility_ref.policy import Policy
 from agility_ref.selector import (
     Hierarchy,
     Single,

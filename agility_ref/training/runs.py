@@ -22,9 +22,9 @@ from pathlib import Path
 from agility_ref.curriculum import Curriculum, CurriculumConfig, find_preset, training_world
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.errors import UserError, require_at_least
-from agility_ref.files import remove_partials, write_csv, write_text
+from agility_ref.files import read_npz, remove_partials, write_csv, write_npz, write_text
 from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOTS, Mirror
-from agility_ref.policy import Policy, beyond_use, read_npz, write_npz
+from agility_ref.policy import Policy, beyond_use
 from agility_ref.ppo import Learner, PPOConfig, train
 from agility_ref.selector import (
     SelectorEnv,
