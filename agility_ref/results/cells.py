@@ -42,12 +42,9 @@ class Cell:
 
     policy: str
     environment: str
-    seed: int
-    """Training seed of the weights."""
-    arrays: dict[str, np.ndarray]
-    """(N,) each: the four metrics, fell, difficulty, and for hierarchies :func:`choices`."""
-    meta: dict
-    """What the cell was made from; see :func:`origin`."""
+    seed: int  # training seed of the weights
+    arrays: dict[str, np.ndarray]  # (N,) each: the four metrics, fell, difficulty, and for hierarchies :func:`choices`
+    meta: dict  # what the cell was made from; see :func:`origin`
 
     @property
     def steps(self) -> int:
@@ -79,15 +76,11 @@ def acting_policies(policy: str) -> tuple[str, ...]:
 class Entrant:
     """A policy with the weights of one training seed, ready to play any terrain."""
 
-    policy: str
-    """Its name; an alias stands for the policy that it names."""
-    seed: int
-    """Training seed."""
+    policy: str  # its name; an alias stands for the policy that it names
+    seed: int  # training seed
     acting: Single | Hierarchy
-    weights: dict[str, str]
-    """Names of all policies whose weights act -> their sha256."""
-    steps: int
-    """Environment steps spent; see :func:`steps_spent`."""
+    weights: dict[str, str]  # names of all policies whose weights act -> their sha256
+    steps: int  # environment steps spent; see :func:`steps_spent`
 
 
 def enter(policy: str, training: WeightsConfig) -> Entrant:

@@ -31,14 +31,10 @@ import numpy as np
 class WeightsConfig:
     """Which weights: all that loading a policy has to know."""
 
-    preset: str = "full"
-    """quick (d up to 0.4, small budgets) or full (d up to 1)."""
-    seed: int = 0
-    """Seed of courses, networks and exploration."""
-    out: str = ""
-    """Folder of runs; runs/<preset> by default."""
-    env: EnvConfig = TRAINING
-    """The task."""
+    preset: str = "full"  # quick (d up to 0.4, small budgets) or full (d up to 1)
+    seed: int = 0  # seed of courses, networks and exploration
+    out: str = ""  # folder of runs; runs/<preset> by default
+    env: EnvConfig = TRAINING  # the task
 
     @property
     def root(self) -> Path:

@@ -13,11 +13,11 @@ from agility_ref.pictures.plots import learning_curve
 from agility_ref.policy import Policy
 from agility_ref.ppo import PPOConfig
 from agility_ref.rewards import RewardConfig
-from agility_ref.selector import Hierarchy, Single, SupervisedConfig
+from agility_ref.selector import Hierarchy, Single
 from agility_ref.terrain import COURSE_KINDS
 from agility_ref.training import policies, runs, weights
 from agility_ref.training.bank import find_weights, load_policy, run_folder
-from agility_ref.training.distill import DistillConfig, FineTuneConfig
+from agility_ref.training.imitation import DistillConfig, FineTuneConfig, SupervisedConfig
 from agility_ref.training.lock import locked
 from agility_ref.training.policies import find_policy
 from agility_ref.training.progress import PROGRESS
