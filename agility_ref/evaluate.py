@@ -1,4 +1,4 @@
-"""Evaluation: the four metrics of Table 1, each defined once, and what a selector did.
+"""Evaluation: the four metrics of Table 1, each defined once.
 
 Paper section 4 and Table 1: reward, episode length, waypoint fraction, edge violation.
 Two protocols:
@@ -75,31 +75,6 @@ def edge_violation(feet_on_edge: np.ndarray, alive: np.ndarray) -> np.ndarray:
     return (feet_on_edge * alive).sum(axis=0) / alive.sum(axis=0)
 
 
-# What a selector did.  skill[t, n] is the skill that acted in step t, -1 after the end.
-
-
-def switches_per_second(skill: np.ndarray, dt: float) -> np.ndarray:
-    """Changes of skill from one step to the next / seconds of the episode: (T, N) -> (N,)."""
-    alive = skill >= 0
-    return ((skill[1:] != skill[:-1]) & alive[1:]).sum(axis=0) / (alive.sum(axis=0) * dt)
-
-
-def commonest_share(skill: np.ndarray) -> np.ndarray:
-    """Share of each episode's steps that its own commonest skill took: (T, N) -> (N,).
-
-    A course of one obstacle may rightly be played by one skill; :func:`agility_ref.results.diagnosis.commonest`
-    pools all episodes.
-    """
-    counts = np.stack([(skill == k).sum(axis=0) for k in range(skill.max() + 1)])
-    return counts.max(axis=0) / counts.sum(axis=0)
-
-
-def oracle_accuracy(skill: np.ndarray, oracle: np.ndarray) -> np.ndarray:
-    """Share of the episode's steps with the skill that the oracle names there: (T, N) -> (N,)."""
-    alive = skill >= 0
-    return ((skill == oracle) & alive).sum(axis=0) / alive.sum(axis=0)
-
-
 @dataclass(frozen=True)
 class Evaluation:
     """One policy on one environment; arrays have one entry per episode.
@@ -120,22 +95,6 @@ class Evaluation:
     skill: np.ndarray | None  # (T, N) skill chosen, -1 after the end; None for a policy without skills and as published
     oracle: np.ndarray | None  # (T, N) skill the oracle wanted, likewise
     dt: float = EnvConfig().dt  # control time step [s]
-
-    def choices(self) -> dict[str, np.ndarray]:
-        """Return what the selector did in each episode (N,), and what the oracle asked for on the same path.
-
-        The path is the policy's own, so ``wanted_switches_per_second`` is how often *it* should
-        have switched.  Empty for a policy without skills.
-        """
-        if self.skill is None:
-            return {}
-        return {
-            "switches_per_second": switches_per_second(self.skill, self.dt),
-            "commonest_share": commonest_share(self.skill),
-            "oracle_accuracy": oracle_accuracy(self.skill, self.oracle),
-            "wanted_switches_per_second": switches_per_second(self.oracle, self.dt),
-            "wanted_commonest_share": commonest_share(self.oracle),
-        }
 
     def summary(self) -> dict:
         """Return mean and standard deviation of each metric, JSON-ready."""

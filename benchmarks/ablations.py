@@ -18,10 +18,9 @@ from pathlib import Path
 from agility_ref.curriculum import find_preset
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError, unknown_name
-from agility_ref.files import write_csv, write_text
+from agility_ref.files import read_npz, write_csv, write_npz, write_text
 from agility_ref.observation import OBS_DIM
 from agility_ref.pictures.plots import BLUE, new_figure, save_figure, style
-from agility_ref.policy import read_npz, write_npz
 from agility_ref.stats import t_interval
 from agility_ref.training.bank import changed_flags, run_folder
 from agility_ref.training.policies import find_policy, requirements

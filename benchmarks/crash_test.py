@@ -22,8 +22,8 @@ from pathlib import Path
 
 from agility_ref.cli.main import main
 from agility_ref.errors import UserError
-from agility_ref.files import PARTIAL
-from agility_ref.policy import Policy, read_npz
+from agility_ref.files import PARTIAL, read_npz
+from agility_ref.policy import Policy
 from agility_ref.training.progress import rows_until
 
 ROBOTS, NUM_STEPS = 16, 4

@@ -32,8 +32,9 @@ from pathlib import Path
 from agility_ref.curriculum import CurriculumConfig
 from agility_ref.errors import UserError, one_line
 from agility_ref.evaluate import METRICS
+from agility_ref.files import read_npz, write_npz
 from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR
-from agility_ref.policy import Policy, read_npz, write_npz
+from agility_ref.policy import Policy
 from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.results.cells import read_cell
 from agility_ref.results.findings import ABLATION_COLUMNS, read_ablations

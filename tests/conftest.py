@@ -12,9 +12,10 @@ with suppress(UserError):  # tests that need OpenGL are skipped without
     choose_gl()  # before MuJoCo is imported
 
 from agility_ref.env import ACTION_DIM
+from agility_ref.files import write_npz
 from agility_ref.observation import OBS_DIM
 from agility_ref.pictures.record import Episode
-from agility_ref.policy import Policy, write_npz
+from agility_ref.policy import Policy
 from agility_ref.terrain import Course
 
 import numpy as np

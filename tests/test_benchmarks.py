@@ -11,8 +11,8 @@ from agility_ref.curriculum import CurriculumConfig
 from agility_ref.env import EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import Evaluation, EvaluationConfig
+from agility_ref.files import read_npz
 from agility_ref.observation import OBS_DIM
-from agility_ref.policy import read_npz
 from agility_ref.ppo import PPOConfig
 from agility_ref.results import findings
 from agility_ref.results.findings import read_ablations

@@ -7,22 +7,19 @@ from agility_ref.errors import UserError
 from agility_ref.evaluate import (
     METRICS,
     EvaluationConfig,
-    commonest_share,
     edge_violation,
     episode_length,
     evaluate,
     evaluation_env,
     evaluation_world,
     mean_std,
-    oracle_accuracy,
     reward_metric,
-    switches_per_second,
     waypoint_fraction,
 )
 from agility_ref.observation import observation_slices
 from agility_ref.results.published import evaluate_by_protocol
 from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
-from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, SKILLS
+from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS
 from agility_ref.training.policies import ENVIRONMENTS
 
 import numpy as np
@@ -59,35 +56,6 @@ def test_waypoint_fraction_by_hand():
 def test_edge_violation_by_hand():
     # (0 + 1 + 2 + 0 + 0) / 5 = 0.6;  (4 + 1 + 1) / 3 = 2
     np.testing.assert_allclose(edge_violation(EDGE, ALIVE), [0.6, 2.0])
-
-
-# --- what a selector did, by hand --------------------------------------------------------
-# The first episode lasts six steps, the second ends with step 4 of 6.
-
-SKILL = np.array([[0, 2], [0, 2], [1, 2], [0, 2], [0, -1], [2, -1]])
-WANTED = np.array([[0, 0], [1, 0], [1, 2], [1, 2], [1, -1], [2, -1]])
-
-
-def test_switches_per_second_by_hand():
-    # 0 0 1 0 0 2: three changes in 6 x 0.5 s; 2 2 2 2: none, and its end is no change
-    np.testing.assert_allclose(switches_per_second(SKILL, 0.5), [1.0, 0.0])
-    # 0 1 1 1 1 2: two in 3 s; 0 0 2 2: one in 2 s
-    np.testing.assert_allclose(switches_per_second(WANTED, 0.5), [2 / 3, 0.5])
-
-
-def test_commonest_share_by_hand():
-    # skill 0 took 4 of 6 steps; skill 2 all of them
-    np.testing.assert_allclose(commonest_share(SKILL), [4 / 6, 1.0])
-    np.testing.assert_allclose(commonest_share(WANTED), [4 / 6, 0.5])
-
-
-def test_oracle_accuracy_by_hand():
-    # right in steps 0, 2, 5 of 6; in steps 2, 3 of 4
-    np.testing.assert_allclose(oracle_accuracy(SKILL, WANTED), [0.5, 0.5])
-
-
-def test_one_step_has_no_switch():
-    np.testing.assert_array_equal(switches_per_second(np.array([[3, 1]]), 0.02), [0.0, 0.0])
 
 
 # --- mean and deviation ------------------------------------------------------------------
@@ -302,12 +270,6 @@ def test_the_first_episodes_are_those_of_the_complete_protocol(single):
     assert published.episode_length[0] == complete.episode_length[first]
 
 
-def test_choices_are_measured_in_complete_episodes_only(five_skills):
-    oracle = oracle_hierarchy("oracle", five_skills)
-    published = evaluate_by_protocol(oracle, "gap", PUBLISHED, SHORT)
-    assert published.skill is None and published.choices() == {}
-
-
 # --- hierarchies -----------------------------------------------------------------------
 
 
@@ -336,27 +298,6 @@ def test_always_one_skill_evaluates_as_that_skill(five_skills):
         np.testing.assert_array_equal(a[name], b[name], err_msg=name)
 
 
-def test_choices_of_a_constant_selector(five_skills):
-    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3), np.arange(5))
-    evaluation = evaluate(hierarchy, "gap", FEW, SHORT)
-    choices = evaluation.choices()
-    np.testing.assert_array_equal(choices["commonest_share"], 1.0)
-    np.testing.assert_array_equal(choices["switches_per_second"], 0.0)
-    np.testing.assert_array_equal(
-        choices["oracle_accuracy"], (evaluation.oracle == 3).sum(0) / evaluation.episode_length
-    )
-
-
-def test_the_oracle_is_what_it_wants(five_skills):
-    choices = evaluate(oracle_hierarchy("oracle", five_skills), "gap", FEW, SHORT).choices()
-    for name in ("switches_per_second", "commonest_share"):
-        np.testing.assert_array_equal(choices[name], choices[f"wanted_{name}"])
-
-
-def test_policies_without_skills_make_no_choices(single):
-    assert evaluate(single, "gap", FEW, SHORT).choices() == {}
-
-
 def test_edges_are_counted_step_by_step(make_policy, monkeypatch):
     monkeypatch.setattr(Go1Env, "_near_edge", lambda self: np.tile([True, True, False, False], (self.num_envs, 1)))
     assert evaluate(Single("random", make_policy()), "walk", FEW, SHORT).edge_violation.tolist() == [2.0] * 3
@@ -383,10 +324,3 @@ def test_the_seed_of_an_evaluation_decides_the_starts(make_policy, monkeypatch):
         evaluate(Noting("noting", make_policy()), "gap", replace(FEW, seed=seed), EnvConfig(episode_seconds=0.02))
     for first, second in zip(*seen, strict=True):
         assert (first != second).all()
-
-
-def test_a_skill_for_both_ways_is_right_on_a_step_down(make_policy, monkeypatch):
-    three = {name: make_policy(k, name) for k, name in enumerate(("walk", "climb", "leap"))}
-    monkeypatch.setattr(Go1Env, "oracle_skill", lambda self: np.full(self.num_envs, SKILLS.index("climb-down")))
-    choices = evaluate(oracle_hierarchy("oracle", three), "climb", FEW, SHORT).choices()
-    assert choices["oracle_accuracy"].tolist() == [1.0] * 3

@@ -1,4 +1,4 @@
-from agility_ref.networks import ActorCritic, EquivariantMLP, Normalizer, PairedElu, fit, kl_divergence, sample
+from agility_ref.networks import ActorCritic, EquivariantMLP, Normalizer, kl_divergence, sample
 from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOT_MIRROR, Mirror
 from agility_ref.policy import Policy
 
@@ -110,34 +110,6 @@ def test_blocks_start_orthogonal_without_biases():
     assert all((layer.bias == 0).all() for layer in net.even) and all(layer.bias is None for layer in net.odd)
 
 
-# --- paired elu ------------------------------------------------------------------------
-
-
-@pytest.fixture
-def halves():
-    g = torch.Generator().manual_seed(0)
-    return tuple(2.0 * torch.randn(5, 3, generator=g, dtype=torch.float64) for _ in range(2))
-
-
-def test_paired_elu_against_torchs_own(halves):
-    even, odd = (x.clone() for x in halves)
-    u, v = torch.nn.functional.elu(even + odd), torch.nn.functional.elu(even - odd)
-    expected = (u + v) / 2**0.5, (u - v) / 2**0.5
-    torch.testing.assert_close(PairedElu.apply(even, odd), expected, rtol=1e-7, atol=1e-8)
-    assert torch.equal(even, halves[0]) and torch.equal(odd, halves[1])  # nothing is written over
-
-
-def test_paired_elu_is_differentiated_right(halves):
-    assert torch.autograd.gradcheck(PairedElu.apply, tuple(x.requires_grad_() for x in halves))
-
-
-def test_paired_elu_mirrors(halves):
-    even, odd = PairedElu.apply(*halves)
-    mirrored_even, mirrored_odd = PairedElu.apply(halves[0], -halves[1])
-    torch.testing.assert_close(mirrored_even, even)
-    torch.testing.assert_close(mirrored_odd, -odd)
-
-
 # --- distributions ---------------------------------------------------------------------
 
 
@@ -200,46 +172,6 @@ def test_value_is_one_dimensional():
     parts = net.actor.parts(torch.zeros(7, 4))
     assert net.value(parts).shape == (7,)
     assert net.actor(parts).shape == (7, 3)
-
-
-def test_fit_takes_adams_steps():
-    # Adam's first step is the step size times the sign of the gradient: 1 - 0.1, then further down.
-    x = torch.nn.Parameter(torch.tensor([1.0]))
-    generator = torch.Generator().manual_seed(0)
-    assert fit([x], lambda mb: (x**2).sum(), 1, 1, 1, 0.1, generator) == [1.0]
-    np.testing.assert_allclose(x.detach(), [0.9], atol=1e-6)
-
-
-def test_fit_meets_every_state_once_an_epoch_and_averages_over_them():
-    seen = []
-    x = torch.nn.Parameter(torch.zeros(1))
-
-    def loss(mb):
-        seen.append(mb.tolist())
-        return mb.float().mean() + 0.0 * x.sum()
-
-    losses = fit([x], loss, 5, 2, 2, 0.1, torch.Generator().manual_seed(0))
-    assert [len(mb) for mb in seen] == [2, 2, 1] * 2
-    for epoch in (seen[:3], seen[3:]):
-        assert sorted(state for mb in epoch for state in mb) == [0, 1, 2, 3, 4]
-    np.testing.assert_allclose(losses, [2.0, 2.0])  # (0 + 1 + 2 + 3 + 4) / 5, though batches differ in size
-
-
-def test_an_annealed_fit_ends_with_small_steps():
-    # A constant gradient makes each of Adam's steps the step size: 0.1 (1 + 3/4 + 2/4 + 1/4) = 0.25
-    for anneal, expected in ((False, -0.4), (True, -0.25)):
-        x = torch.nn.Parameter(torch.zeros(1))
-        fit([x], lambda mb, x=x: x.sum(), 4, 1, 1, 0.1, torch.Generator(), anneal)
-        np.testing.assert_allclose(x.detach(), [expected], atol=1e-6)
-
-
-def test_a_fitted_network_stays_equivariant():
-    net, rng = random_network(SWAP, NEGATED), np.random.default_rng(0)
-    x, y = rng.standard_normal((64, 4)).astype(np.float32), rng.standard_normal((64, 3)).astype(np.float32)
-    parts, target, before = net.parts(torch.from_numpy(x)), torch.from_numpy(y), apply(net, x)
-    fit(net.parameters(), lambda mb: ((net(parts[mb]) - target[mb]) ** 2).mean(), 64, 20, 16, 1e-2, torch.Generator())
-    assert np.abs(apply(net, x) - before).max() > 0.1
-    np.testing.assert_allclose(apply(net, SWAP(x)), NEGATED(apply(net, x)), atol=1e-5)
 
 
 # --- normaliser ------------------------------------------------------------------------

@@ -1,9 +1,10 @@
 import json
 
 from agility_ref.errors import UserError
+from agility_ref.files import SCHEMA, read_npz, write_npz
 from agility_ref.networks import EquivariantMLP
 from agility_ref.observation import Mirror
-from agility_ref.policy import SCHEMA, Policy, elu, layers_of, mlp, read_npz, write_npz
+from agility_ref.policy import Policy, elu, layers_of, mlp
 from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.training.progress import processor, versions
 from agility_ref.training.state import learner_state, load_learner, policy_arrays

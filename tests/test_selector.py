@@ -1,17 +1,13 @@
 from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
-from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOT_MIRROR, SCANDOTS
+from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.policy import Policy
 from agility_ref.selector import (
     Hierarchy,
     SelectorEnv,
     Single,
-    SupervisedConfig,
-    collect_labels,
-    fit_selector,
     oracle_hierarchy,
     selector_hierarchy,
     skill_labels,
-    visit,
 )
 from agility_ref.terrain import SKILLS, make_course
 from agility_ref.world import World
@@ -146,62 +142,6 @@ def test_selector_takes_the_largest_logit(make_policy, observation, obs_dim, col
     np.testing.assert_array_equal(hierarchy.act(observation, None)[1], seen > 0)
 
 
-def separable(n, seed):
-    """Scandots whose label is the sector that two of them point to, in the middle of the first and the second row."""
-    x = np.random.default_rng(seed).uniform(-1, 1, (n, NUM_SCANDOTS)).astype(np.float32)
-    return x, np.where(x[:, 5] > 0.3, 2, np.where(x[:, 16] > 0, 1, 0))
-
-
-def test_fit_selector_learns_a_separable_problem():
-    config = SupervisedConfig(epochs=15, batch_size=64, hidden=(32,))
-    arrays, losses = fit_selector(*separable(3000, 0), 3, config, seed=0)
-    assert losses[0] > 3 * losses[-1]
-    selector = Policy.from_arrays(arrays, {"policy": "ps-sl", "act_dim": 3})
-    assert selector.obs_dim == NUM_SCANDOTS
-    x, label = separable(1000, 1)
-    assert (selector(x).argmax(axis=1) == label).mean() > 0.9
-
-
-def test_a_selector_chooses_alike_for_what_is_mirrored():
-    arrays, _ = fit_selector(*separable(500, 0), 3, SupervisedConfig(epochs=5, batch_size=64, hidden=(16,)), seed=0)
-    selector = Policy.from_arrays(arrays, {})
-    x, _ = separable(200, 1)
-    assert np.ptp(selector(x)) > 0.5
-    np.testing.assert_allclose(selector(SCANDOT_MIRROR(x)), selector(x), atol=1e-5)
-
-
-def test_fit_selector_is_reproducible():
-    config = SupervisedConfig(epochs=2, batch_size=64, hidden=(8,))
-    data = separable(200, 0)
-    a, b, other = (fit_selector(*data, 3, config, seed)[0] for seed in (0, 0, 1))
-    np.testing.assert_array_equal(a["actor.0.weight"], b["actor.0.weight"])
-    assert (a["actor.0.weight"] != other["actor.0.weight"]).any()
-
-
-def test_first_loss_is_that_of_guessing():
-    # a new network is near uniform over 3 skills: -log(1/3)
-    config = SupervisedConfig(epochs=1, batch_size=10_000, hidden=(8,))
-    _, losses = fit_selector(*separable(500, 0), 3, config, seed=0)
-    assert losses[0] == pytest.approx(np.log(3), abs=0.05)
-
-
-def test_collected_labels_are_the_oracles(env, five_skills):
-    oracle = oracle_hierarchy("oracle", five_skills)
-    wanted = []
-
-    class Noting(Hierarchy):
-        """An actor that always walks, and writes down what the oracle would do."""
-
-        def act(self, observation, env):
-            wanted.append(env.oracle_skill())
-            return super().act(observation, env)
-
-    actor = Noting("walker", tuple(five_skills.values()), constant(0), LABELS)
-    scandots, labels = collect_labels(env, actor, oracle, 38)
-    assert scandots.shape == (40, NUM_SCANDOTS)  # ten steps of four robots
-    np.testing.assert_array_equal(labels, np.concatenate(wanted))
-
-
 # --- environment of the PPO selector ---------------------------------------------------
 
 
@@ -260,17 +200,3 @@ def test_oracle_reward_over_three_skills(env, three_skills):
 def test_a_selector_of_three_knows_the_oracles_labels(three_skills):
     hierarchy = selector_hierarchy("ps-rl-3", three_skills, linear_selector(OBS_DIM, 9))
     assert hierarchy.labels.tolist() == [0, 1, 1, 2, 0]
-
-
-def test_action_noise_is_drawn_anew(env, five_skills, monkeypatch):
-    taken, step = [], env.step
-    monkeypatch.setattr(env, "step", lambda action: taken.append(action) or step(action))
-    still = Single("still", lambda o: np.zeros((len(o), 12)))
-    list(visit(env, still, 400, 0.5))
-    assert np.mean(taken) == pytest.approx(0.0, abs=0.05) and np.std(taken) == pytest.approx(0.5, abs=0.05)
-
-
-def test_a_selectors_normaliser_is_that_of_the_scandots():
-    arrays, _ = fit_selector(*separable(50, 0), 3, SupervisedConfig(epochs=1, hidden=(4,)), 0)
-    assert not arrays["normalizer.mean"].any()
-    np.testing.assert_allclose(arrays["normalizer.var"], 0.09)

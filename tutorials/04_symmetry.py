@@ -28,9 +28,9 @@ from agility_ref.evaluate import EvaluationConfig, evaluation_env
 from agility_ref.networks import EquivariantMLP
 from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, observation_slices
 from agility_ref.pictures.plots import BLUE, GREEN, GREY, ORANGE, RED, new_figure, show
-from agility_ref.selector import visit
 from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH, Box, Course
 from agility_ref.training.bank import load_policy
+from agility_ref.training.imitation import visit
 from agility_ref.training.runs import TrainConfig
 from agility_ref.world import World
 

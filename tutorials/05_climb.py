@@ -25,11 +25,12 @@ import time
 
 from agility_ref.curriculum import Curriculum, CurriculumConfig, level_difficulties
 from agility_ref.evaluate import EvaluationConfig, evaluate
+from agility_ref.files import read_npz
 from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOTS
 from agility_ref.pictures.pictures import strobe
 from agility_ref.pictures.plots import BLUE, GREEN, GREY, ORANGE, new_figure, show
 from agility_ref.pictures.record import record
-from agility_ref.policy import Policy, read_npz
+from agility_ref.policy import Policy
 from agility_ref.ppo import Learner, train
 from agility_ref.selector import Single
 from agility_ref.stats import paired_difference

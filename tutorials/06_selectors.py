@@ -25,12 +25,14 @@
 import time
 from dataclasses import replace
 
-from agility_ref.evaluate import EvaluationConfig, evaluate, evaluation_env, oracle_accuracy
+from agility_ref.evaluate import EvaluationConfig, evaluate, evaluation_env
 from agility_ref.pictures.plots import BLUE, ORANGE, SKILL_COLOURS, new_figure, show
 from agility_ref.policy import Policy
-from agility_ref.selector import SupervisedConfig, collect_labels, fit_selector, oracle_hierarchy, selector_hierarchy
+from agility_ref.results.cells import oracle_accuracy
+from agility_ref.selector import oracle_hierarchy, selector_hierarchy
 from agility_ref.stats import paired_difference
 from agility_ref.training.bank import load_bank, load_policy
+from agility_ref.training.imitation import SupervisedConfig, collect_labels, fit_selector
 from agility_ref.training.policies import find_policy
 from agility_ref.training.runs import TrainConfig, make_env
 

@@ -31,7 +31,7 @@ from agility_ref.ppo import normalize_advantages
 from agility_ref.selector import Single, oracle_hierarchy
 from agility_ref.stats import paired_difference
 from agility_ref.training.bank import bank_steps, load_bank, load_policy
-from agility_ref.training.distill import collect_actions, fit_student
+from agility_ref.training.imitation import collect_actions, fit_student
 from agility_ref.training.policies import find_policy
 from agility_ref.training.runs import TrainConfig, make_env
 

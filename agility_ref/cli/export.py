@@ -21,16 +21,11 @@ class Export:
 
     policy: tyro.conf.Positional[Policy]
     """A name of `agility-ref list`, or the .npz file of a run.  Of a selector, the network that chooses."""
-    format: Annotated[str, tyro.conf.arg(metavar="FORMAT")] = "onnx"
-    """onnx, npz or torchscript."""
-    out: File = ""
-    """The file; by default <policy>.onnx, <policy>.npz or <policy>.pt."""
-    preset: Preset = "full"
-    """quick (d up to 0.4, small budgets) or full (d up to 1)."""
-    train_seed: int = 0
-    """Training seed of the weights."""
-    runs: Folder = ""
-    """Folder of runs to look in before the shipped weights; runs/<preset> by default."""
+    format: Annotated[str, tyro.conf.arg(metavar="FORMAT")] = "onnx"  # onnx, npz or torchscript.
+    out: File = ""  # The file; by default <policy>.onnx, <policy>.npz or <policy>.pt.
+    preset: Preset = "full"  # quick (d up to 0.4, small budgets) or full (d up to 1).
+    train_seed: int = 0  # Training seed of the weights.
+    runs: Folder = ""  # Folder of runs to look in before the shipped weights; runs/<preset> by default.
 
 
 def export(args: Export) -> None:
@@ -67,14 +62,10 @@ class ExportMJCF:
         agility-ref export-mjcf --environment gap --difficulty 0.8 --out gap.xml
     """
 
-    environment: Environment = "climb"
-    """climb-gap, gap, beam, climb, walk, climb-up or climb-down."""
-    difficulty: float = 0.5
-    """d; 0 to 1, down to -0.2 on steps and to -1 on beams."""
-    seed: int = 0
-    """Of the course."""
-    out: File = ""
-    """The file; <environment>.xml by default."""
+    environment: Environment = "climb"  # climb-gap, gap, beam, climb, walk, climb-up or climb-down.
+    difficulty: float = 0.5  # d; 0 to 1, down to -0.2 on steps and to -1 on beams.
+    seed: int = 0  # Of the course.
+    out: File = ""  # The file; <environment>.xml by default.
 
 
 def export_mjcf(args: ExportMJCF) -> None:

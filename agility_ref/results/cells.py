@@ -18,8 +18,8 @@ from pathlib import Path
 
 from agility_ref.env import EnvConfig
 from agility_ref.errors import UserError
-from agility_ref.evaluate import METRICS, EvaluationConfig
-from agility_ref.policy import read_npz, write_npz
+from agility_ref.evaluate import METRICS, Evaluation, EvaluationConfig
+from agility_ref.files import read_npz, write_npz
 from agility_ref.results.published import evaluate_by_protocol
 from agility_ref.selector import Hierarchy, Single
 from agility_ref.training.bank import WeightsConfig, bank_steps, load_policy, weights_path
@@ -42,12 +42,9 @@ class Cell:
 
     policy: str
     environment: str
-    seed: int
-    """Training seed of the weights."""
-    arrays: dict[str, np.ndarray]
-    """(N,) each: the four metrics, fell, difficulty, and for hierarchies Evaluation.choices()."""
-    meta: dict
-    """What the cell was made from; see :func:`origin`."""
+    seed: int  # training seed of the weights
+    arrays: dict[str, np.ndarray]  # (N,) each: the four metrics, fell, difficulty, and for hierarchies :func:`choices`
+    meta: dict  # what the cell was made from; see :func:`origin`
 
     @property
     def steps(self) -> int:
@@ -79,15 +76,11 @@ def acting_policies(policy: str) -> tuple[str, ...]:
 class Entrant:
     """A policy with the weights of one training seed, ready to play any terrain."""
 
-    policy: str
-    """Its name; an alias stands for the policy that it names."""
-    seed: int
-    """Training seed."""
+    policy: str  # its name; an alias stands for the policy that it names
+    seed: int  # training seed
     acting: Single | Hierarchy
-    weights: dict[str, str]
-    """Names of all policies whose weights act -> their sha256."""
-    steps: int
-    """Environment steps spent; see :func:`steps_spent`."""
+    weights: dict[str, str]  # names of all policies whose weights act -> their sha256
+    steps: int  # environment steps spent; see :func:`steps_spent`
 
 
 def enter(policy: str, training: WeightsConfig) -> Entrant:
@@ -153,6 +146,48 @@ def read_cell(path: Path, meta: dict) -> Cell | None:
     return Cell(meta["policy"], meta["environment"], meta["seed"], arrays, meta)
 
 
+# What a selector did.  skill[t, n] is the skill that acted in step t, -1 after the end.
+
+
+def switches_per_second(skill: np.ndarray, dt: float) -> np.ndarray:
+    """Changes of skill from one step to the next / seconds of the episode: (T, N) -> (N,)."""
+    alive = skill >= 0
+    return ((skill[1:] != skill[:-1]) & alive[1:]).sum(axis=0) / (alive.sum(axis=0) * dt)
+
+
+def commonest_share(skill: np.ndarray) -> np.ndarray:
+    """Share of each episode's steps that its own commonest skill took: (T, N) -> (N,).
+
+    A course of one obstacle may rightly be played by one skill; :func:`agility_ref.results.diagnosis.commonest`
+    pools all episodes.
+    """
+    counts = np.stack([(skill == k).sum(axis=0) for k in range(skill.max() + 1)])
+    return counts.max(axis=0) / counts.sum(axis=0)
+
+
+def oracle_accuracy(skill: np.ndarray, oracle: np.ndarray) -> np.ndarray:
+    """Share of the episode's steps with the skill that the oracle names there: (T, N) -> (N,)."""
+    alive = skill >= 0
+    return ((skill == oracle) & alive).sum(axis=0) / alive.sum(axis=0)
+
+
+def choices(played: Evaluation) -> dict[str, np.ndarray]:
+    """Return what the selector did in each episode (N,), and what the oracle asked for on the same path.
+
+    The path is the policy's own, so ``wanted_switches_per_second`` is how often *it* should
+    have switched.  Empty for a policy without skills, and for episodes counted as published.
+    """
+    if played.skill is None:
+        return {}
+    return {
+        "switches_per_second": switches_per_second(played.skill, played.dt),
+        "commonest_share": commonest_share(played.skill),
+        "oracle_accuracy": oracle_accuracy(played.skill, played.oracle),
+        "wanted_switches_per_second": switches_per_second(played.oracle, played.dt),
+        "wanted_commonest_share": commonest_share(played.oracle),
+    }
+
+
 def find_cell(entrant: Entrant, environment: str, config: EvaluationConfig, folder: Path) -> Cell:
     """Return the stored cell, or play and store it.
 
@@ -167,7 +202,7 @@ def find_cell(entrant: Entrant, environment: str, config: EvaluationConfig, fold
     cell = read_cell(path, meta)
     if cell is None:
         played = evaluate_by_protocol(entrant.acting, environment, config)
-        arrays = {k: getattr(played, k) for k in (*METRICS, "fell", "difficulty")} | played.choices()
+        arrays = {k: getattr(played, k) for k in (*METRICS, "fell", "difficulty")} | choices(played)
         write_npz(path, arrays, meta)
         cell = Cell(entrant.policy, environment, entrant.seed, arrays, meta)
     return cell

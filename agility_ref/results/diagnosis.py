@@ -14,7 +14,7 @@ regret says what it cost.
 
 from pathlib import Path
 
-from agility_ref.evaluate import EvaluationConfig, evaluation_env, oracle_accuracy, switches_per_second
+from agility_ref.evaluate import EvaluationConfig, evaluation_env
 from agility_ref.pictures.plots import (
     SKILL_COLOURS,
     empty_figure,
@@ -25,6 +25,7 @@ from agility_ref.pictures.plots import (
     style,
 )
 from agility_ref.pictures.record import Episode, play, side_by_side
+from agility_ref.results.cells import oracle_accuracy, switches_per_second
 from agility_ref.selector import oracle_hierarchy
 from agility_ref.stats import bootstrap_interval, paired_difference
 from agility_ref.terrain import LANE_LENGTH, LANE_WIDTH, NUM_WAYPOINTS, SKILLS

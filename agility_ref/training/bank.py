@@ -12,9 +12,9 @@ from pathlib import Path
 from agility_ref.curriculum import find_preset
 from agility_ref.env import ACTION_DIM, TRAINING, EnvConfig
 from agility_ref.errors import UserError
-from agility_ref.files import read_json
+from agility_ref.files import read_json, read_npz
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
-from agility_ref.policy import Policy, read_npz
+from agility_ref.policy import Policy
 from agility_ref.selector import (
     Hierarchy,
     Single,
@@ -31,14 +31,10 @@ import numpy as np
 class WeightsConfig:
     """Which weights: all that loading a policy has to know."""
 
-    preset: str = "full"
-    """quick (d up to 0.4, small budgets) or full (d up to 1)."""
-    seed: int = 0
-    """Seed of courses, networks and exploration."""
-    out: str = ""
-    """Folder of runs; runs/<preset> by default."""
-    env: EnvConfig = TRAINING
-    """The task."""
+    preset: str = "full"  # quick (d up to 0.4, small budgets) or full (d up to 1)
+    seed: int = 0  # seed of courses, networks and exploration
+    out: str = ""  # folder of runs; runs/<preset> by default
+    env: EnvConfig = TRAINING  # the task
 
     @property
     def root(self) -> Path:

@@ -18,22 +18,15 @@ class PolicySpec:
     """One row of Table 1."""
 
     name: str
-    label: str
-    """As the paper prints it, where it does."""
-    method: str
-    """ppo, oracle, supervised (selector), ppo-selector or distilled."""
-    courses: tuple[str, ...] = ()
-    """Course kinds it trains on, in equal shares."""
-    budget: tuple[int, int] = (0, 0)
-    """Environment steps under (quick, full), warm start included."""
-    warm_start: str | None = None
-    """Policy whose weights it starts from."""
-    skills: tuple[str, ...] = ()
-    """Frozen policies that a selector chooses from, in the order of its outputs."""
+    label: str  # as the paper prints it, where it does
+    method: str  # ppo, oracle, supervised (selector), ppo-selector or distilled
+    courses: tuple[str, ...] = ()  # course kinds it trains on, in equal shares
+    budget: tuple[int, int] = (0, 0)  # environment steps under (quick, full), warm start included
+    warm_start: str | None = None  # policy whose weights it starts from
+    skills: tuple[str, ...] = ()  # frozen policies that a selector chooses from, in the order of its outputs
     teachers: tuple[str, ...] = ()
     """Frozen policies that a distilled one imitates, each where the oracle would choose it."""
-    reward: str = "environment"
-    """What a ppo-selector is rewarded with: environment, or oracle (+1 right, -1 wrong)."""
+    reward: str = "environment"  # what a ppo-selector is rewarded with: environment, or oracle (+1 right, -1 wrong)
 
     def steps(self, preset: str) -> int:
         """Budget in environment steps under a preset."""

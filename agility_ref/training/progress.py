@@ -15,8 +15,7 @@ from importlib import metadata
 from pathlib import Path
 
 from agility_ref.errors import UserError
-from agility_ref.files import read_csv, write_csv
-from agility_ref.policy import not_finite
+from agility_ref.files import not_finite, read_csv, write_csv
 from agility_ref.terrain import NUM_WAYPOINTS
 
 import numpy as np

@@ -22,19 +22,11 @@ from pathlib import Path
 from agility_ref.curriculum import Curriculum, CurriculumConfig, find_preset, training_world
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.errors import MAX_SEED, UserError, require_at_least
-from agility_ref.files import remove_partials, write_csv, write_text
+from agility_ref.files import read_npz, remove_partials, write_csv, write_npz, write_text
 from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOTS, Mirror
-from agility_ref.policy import Policy, beyond_use, read_npz, write_npz
+from agility_ref.policy import Policy, beyond_use
 from agility_ref.ppo import Learner, PPOConfig, train
-from agility_ref.selector import (
-    SelectorEnv,
-    Single,
-    SupervisedConfig,
-    collect_labels,
-    fit_selector,
-    oracle_hierarchy,
-    selector_hierarchy,
-)
+from agility_ref.selector import SelectorEnv, Single, oracle_hierarchy, selector_hierarchy
 from agility_ref.training.bank import (
     WeightsConfig,
     changed_flags,
@@ -48,7 +40,15 @@ from agility_ref.training.bank import (
     unfinished,
     weights_path,
 )
-from agility_ref.training.distill import DistillConfig, FineTuneConfig, collect_actions, fit_student
+from agility_ref.training.imitation import (
+    DistillConfig,
+    FineTuneConfig,
+    SupervisedConfig,
+    collect_actions,
+    collect_labels,
+    fit_selector,
+    fit_student,
+)
 from agility_ref.training.lock import locked
 from agility_ref.training.policies import PolicySpec, find_policy, requirements
 from agility_ref.training.progress import EPISODE, ProgressLog, StopRequest, attempt, rows_until, versions
@@ -73,28 +73,18 @@ Draw = Callable[[Path, Path, str], object]
 class TrainConfig(WeightsConfig):
     """One training run."""
 
-    steps: int = 0
-    """Environment steps, warm start included; 0 for the policy's budget."""
-    overwrite: bool = False
-    """Replace a finished run."""
-    warm_start: bool = True
-    """Start from the policy that the table of policies names; False for from scratch."""
-    warm_std: float = 0.5
-    """Exploration noise after a warm start; usual 0.3 to 0.8."""
+    steps: int = 0  # environment steps, warm start included; 0 for the policy's budget
+    overwrite: bool = False  # replace a finished run
+    warm_start: bool = True  # start from the policy that the table of policies names; False for from scratch
+    warm_std: float = 0.5  # exploration noise after a warm start; usual 0.3 to 0.8
     sight: bool = True
     """Let the trained policy see ground no higher or lower than its own courses show it; not for selectors and distilled policies."""
-    ppo: PPOConfig = PPOConfig()
-    """Hyper-parameters of PPO."""
-    curriculum: CurriculumConfig = CurriculumConfig()
-    """The levels."""
-    selector_ent_coef: float = 0.01
-    """Entropy bonus of the PPO selectors, against mode collapse; usual 0.005 to 0.05."""
-    supervised: SupervisedConfig = SupervisedConfig()
-    """Training of the supervised selector."""
-    distill: DistillConfig = DistillConfig()
-    """Training of the distilled policy."""
-    fine_tune: FineTuneConfig = FineTuneConfig()
-    """How PPO goes on from it."""
+    ppo: PPOConfig = PPOConfig()  # hyper-parameters of PPO
+    curriculum: CurriculumConfig = CurriculumConfig()  # the levels
+    selector_ent_coef: float = 0.01  # entropy bonus of the PPO selectors, against mode collapse; usual 0.005 to 0.05
+    supervised: SupervisedConfig = SupervisedConfig()  # training of the supervised selector
+    distill: DistillConfig = DistillConfig()  # training of the distilled policy
+    fine_tune: FineTuneConfig = FineTuneConfig()  # how PPO goes on from it
 
     def __post_init__(self):
         require_at_least(0, MAX_SEED, seed=self.seed, steps=self.steps)

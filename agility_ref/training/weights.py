@@ -13,8 +13,7 @@ from importlib import resources
 from pathlib import Path
 
 from agility_ref.errors import UserError
-from agility_ref.files import read_json, write_text
-from agility_ref.policy import read_npz, write_npz
+from agility_ref.files import read_json, read_npz, write_npz, write_text
 from agility_ref.training.policies import POLICIES, find_policy
 from agility_ref.training.progress import read_progress
 

@@ -100,8 +100,8 @@ MUTANTS = (
         "agility_ref's own functions",
         FILE,
         (
-            ("        torch.set_num_threads(1)\n", "        from agility_ref.selector import SupervisedConfig, fit_selector\n\n        self.arrays = fit_selector(scandots, labels, 5, SupervisedConfig(), seed)\n        torch.set_num_threads(1)\n"),
-            ("    seen, labels = [], []\n", "    from agility_ref.selector import collect_labels\n\n    return collect_labels(runners, selector, selector, steps)\n"),
+            ("        torch.set_num_threads(1)\n", "        from agility_ref.training.imitation import SupervisedConfig, fit_selector\n\n        self.arrays = fit_selector(scandots, labels, 5, SupervisedConfig(), seed)\n        torch.set_num_threads(1)\n"),
+            ("    seen, labels = [], []\n", "    from agility_ref.training.imitation import collect_labels\n\n    return collect_labels(runners, selector, selector, steps)\n"),
         ),
         "test_collect_with_the_oracle",
         "agility_ref's own are others",

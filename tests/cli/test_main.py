@@ -9,7 +9,7 @@ from dataclasses import fields
 from agility_ref import __version__
 from agility_ref.cli.main import COMMANDS, PLOTS, Command, main, options_of
 from agility_ref.evaluate import METRICS
-from agility_ref.policy import read_npz, write_npz
+from agility_ref.files import read_npz, write_npz
 from agility_ref.training.policies import POLICIES
 
 import numpy as np

@@ -80,7 +80,7 @@ sys.exit(main(sys.argv[1:]))
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
     """Return a function that films in a process of its own, as MuJoCo's choice of OpenGL is for life."""
-    from agility_ref.policy import write_npz
+    from agility_ref.files import write_npz
 
     root = tmp_path_factory.mktemp("film")
     for k, name in enumerate(SKILLS):

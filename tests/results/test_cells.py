@@ -1,12 +1,30 @@
 import ast
 import json
+from dataclasses import replace
 from pathlib import Path
 
+from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError
-from agility_ref.evaluate import METRICS, Evaluation, EvaluationConfig
-from agility_ref.policy import read_npz, write_npz
+from agility_ref.evaluate import METRICS, Evaluation, EvaluationConfig, evaluate
+from agility_ref.files import read_npz, write_npz
 from agility_ref.results import cells
-from agility_ref.results.cells import SOURCES, cell_path, enter, find_cell, origin, seeds_of, stack, steps_spent
+from agility_ref.results.cells import (
+    SOURCES,
+    cell_path,
+    choices,
+    commonest_share,
+    enter,
+    find_cell,
+    oracle_accuracy,
+    origin,
+    seeds_of,
+    stack,
+    steps_spent,
+    switches_per_second,
+)
+from agility_ref.results.published import evaluate_by_protocol
+from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
+from agility_ref.terrain import SKILLS
 from agility_ref.training.runs import TrainConfig
 from agility_ref.training.weights import sha256
 
@@ -15,6 +33,9 @@ import pytest
 
 FIVE = ("walk", "climb-up", "climb-down", "leap", "beam")
 CONFIG = EvaluationConfig(episodes=3, seed=4)
+SHORT = EnvConfig(episode_seconds=0.6)  # 30 steps
+FEW = EvaluationConfig(episodes=3, seed=1)
+PUBLISHED = replace(FEW, protocol="as-published")
 
 
 @pytest.fixture
@@ -221,3 +242,66 @@ def test_another_simulator_is_played(bank, played, tmp_path, monkeypatch, what):
     monkeypatch.setattr(what, "0")
     find(bank, tmp_path)
     assert len(played) == 2
+
+
+# --- what a selector did, by hand --------------------------------------------------------
+# The first episode lasts six steps, the second ends with step 4 of 6.
+
+SKILL = np.array([[0, 2], [0, 2], [1, 2], [0, 2], [0, -1], [2, -1]])
+WANTED = np.array([[0, 0], [1, 0], [1, 2], [1, 2], [1, -1], [2, -1]])
+
+
+def test_switches_per_second_by_hand():
+    # 0 0 1 0 0 2: three changes in 6 x 0.5 s; 2 2 2 2: none, and its end is no change
+    np.testing.assert_allclose(switches_per_second(SKILL, 0.5), [1.0, 0.0])
+    # 0 1 1 1 1 2: two in 3 s; 0 0 2 2: one in 2 s
+    np.testing.assert_allclose(switches_per_second(WANTED, 0.5), [2 / 3, 0.5])
+
+
+def test_commonest_share_by_hand():
+    # skill 0 took 4 of 6 steps; skill 2 all of them
+    np.testing.assert_allclose(commonest_share(SKILL), [4 / 6, 1.0])
+    np.testing.assert_allclose(commonest_share(WANTED), [4 / 6, 0.5])
+
+
+def test_oracle_accuracy_by_hand():
+    # right in steps 0, 2, 5 of 6; in steps 2, 3 of 4
+    np.testing.assert_allclose(oracle_accuracy(SKILL, WANTED), [0.5, 0.5])
+
+
+def test_one_step_has_no_switch():
+    np.testing.assert_array_equal(switches_per_second(np.array([[3, 1]]), 0.02), [0.0, 0.0])
+
+
+def test_choices_are_measured_in_complete_episodes_only(five_skills):
+    oracle = oracle_hierarchy("oracle", five_skills)
+    published = evaluate_by_protocol(oracle, "gap", PUBLISHED, SHORT)
+    assert published.skill is None and choices(published) == {}
+
+
+def test_choices_of_a_constant_selector(five_skills):
+    hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3), np.arange(5))
+    evaluation = evaluate(hierarchy, "gap", FEW, SHORT)
+    chosen = choices(evaluation)
+    np.testing.assert_array_equal(chosen["commonest_share"], 1.0)
+    np.testing.assert_array_equal(chosen["switches_per_second"], 0.0)
+    np.testing.assert_array_equal(
+        chosen["oracle_accuracy"], (evaluation.oracle == 3).sum(0) / evaluation.episode_length
+    )
+
+
+def test_the_oracle_is_what_it_wants(five_skills):
+    chosen = choices(evaluate(oracle_hierarchy("oracle", five_skills), "gap", FEW, SHORT))
+    for name in ("switches_per_second", "commonest_share"):
+        np.testing.assert_array_equal(chosen[name], chosen[f"wanted_{name}"])
+
+
+def test_policies_without_skills_make_no_choices(make_policy):
+    assert choices(evaluate(Single("random", make_policy()), "gap", FEW, SHORT)) == {}
+
+
+def test_a_skill_for_both_ways_is_right_on_a_step_down(make_policy, monkeypatch):
+    three = {name: make_policy(k, name) for k, name in enumerate(("walk", "climb", "leap"))}
+    monkeypatch.setattr(Go1Env, "oracle_skill", lambda self: np.full(self.num_envs, SKILLS.index("climb-down")))
+    chosen = choices(evaluate(oracle_hierarchy("oracle", three), "climb", FEW, SHORT))
+    assert chosen["oracle_accuracy"].tolist() == [1.0] * 3

@@ -7,17 +7,17 @@ from itertools import count
 from agility_ref.curriculum import CurriculumConfig
 from agility_ref.env import ACTION_DIM, EnvConfig
 from agility_ref.errors import UserError
-from agility_ref.files import read_csv
+from agility_ref.files import read_csv, read_npz, write_npz
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, SCANDOTS
 from agility_ref.pictures.plots import learning_curve
-from agility_ref.policy import Policy, read_npz, write_npz
+from agility_ref.policy import Policy
 from agility_ref.ppo import PPOConfig
 from agility_ref.rewards import RewardConfig
-from agility_ref.selector import Hierarchy, Single, SupervisedConfig
+from agility_ref.selector import Hierarchy, Single
 from agility_ref.terrain import COURSE_KINDS
 from agility_ref.training import policies, runs, weights
 from agility_ref.training.bank import find_weights, load_policy, run_folder
-from agility_ref.training.distill import DistillConfig, FineTuneConfig
+from agility_ref.training.imitation import DistillConfig, FineTuneConfig, SupervisedConfig
 from agility_ref.training.lock import locked
 from agility_ref.training.policies import find_policy
 from agility_ref.training.progress import PROGRESS

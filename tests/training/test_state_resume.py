@@ -3,7 +3,7 @@ from dataclasses import replace
 from agility_ref.curriculum import CurriculumConfig
 from agility_ref.env import TRAINING
 from agility_ref.errors import UserError
-from agility_ref.policy import read_npz, write_npz
+from agility_ref.files import read_npz, write_npz
 from agility_ref.ppo import PPOConfig
 from agility_ref.training import runs
 from agility_ref.training.bank import run_folder

@@ -2,8 +2,9 @@ import json
 
 from agility_ref.curriculum import PRESETS
 from agility_ref.errors import UserError
+from agility_ref.files import read_npz, write_npz
 from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOTS
-from agility_ref.policy import Policy, read_npz, write_npz
+from agility_ref.policy import Policy
 from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.training import weights
 from agility_ref.training.state import policy_arrays, warm_start

@@ -1,17 +1,29 @@
 from dataclasses import replace
 
 from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
-from agility_ref.observation import ACTION_MIRROR, OBS_DIM, OBS_MIRROR, SCANDOTS
+from agility_ref.observation import ACTION_MIRROR, NUM_SCANDOTS, OBS_DIM, OBS_MIRROR, SCANDOT_MIRROR, SCANDOTS
 from agility_ref.policy import Policy
 from agility_ref.ppo import Learner, PPOConfig
 from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
 from agility_ref.terrain import make_course
-from agility_ref.training.distill import DistillConfig, FineTuneConfig, collect_actions, fit_student
+from agility_ref.training import imitation
+from agility_ref.training.imitation import (
+    DistillConfig,
+    FineTuneConfig,
+    SupervisedConfig,
+    collect_actions,
+    collect_labels,
+    fit,
+    fit_selector,
+    fit_student,
+    visit,
+)
 from agility_ref.training.state import policy_arrays, warm_start
 from agility_ref.world import World
 
 import numpy as np
 import pytest
+import torch
 
 SMALL = DistillConfig(epochs=20, batch_size=64, learning_rate=3e-3)
 
@@ -142,10 +154,115 @@ def test_fine_tuning_replaces_what_both_have():
 
 
 def test_the_students_step_size_falls(monkeypatch):
-    from agility_ref import networks
-
-    seen, fit = [], networks.fit
-    monkeypatch.setattr(networks, "fit", lambda *a, **k: seen.append(k) or fit(*a, **k))
+    seen, fit = [], imitation.fit
+    monkeypatch.setattr(imitation, "fit", lambda *a, **k: seen.append(k) or fit(*a, **k))
     x = np.zeros((8, 184), np.float32)
     fit_student(x, x[:, :12], (4,), DistillConfig(epochs=1), 0)
     assert seen == [{"anneal": True}]
+
+
+# --- the supervised selector ------------------------------------------------------------
+
+
+def separable(n, seed):
+    """Scandots whose label is the sector that two of them point to, in the middle of the first and the second row."""
+    x = np.random.default_rng(seed).uniform(-1, 1, (n, NUM_SCANDOTS)).astype(np.float32)
+    return x, np.where(x[:, 5] > 0.3, 2, np.where(x[:, 16] > 0, 1, 0))
+
+
+def test_fit_selector_learns_a_separable_problem():
+    config = SupervisedConfig(epochs=15, batch_size=64, hidden=(32,))
+    arrays, losses = fit_selector(*separable(3000, 0), 3, config, seed=0)
+    assert losses[0] > 3 * losses[-1]
+    selector = Policy.from_arrays(arrays, {"policy": "ps-sl", "act_dim": 3})
+    assert selector.obs_dim == NUM_SCANDOTS
+    x, label = separable(1000, 1)
+    assert (selector(x).argmax(axis=1) == label).mean() > 0.9
+
+
+def test_a_selector_chooses_alike_for_what_is_mirrored():
+    arrays, _ = fit_selector(*separable(500, 0), 3, SupervisedConfig(epochs=5, batch_size=64, hidden=(16,)), seed=0)
+    selector = Policy.from_arrays(arrays, {})
+    x, _ = separable(200, 1)
+    assert np.ptp(selector(x)) > 0.5
+    np.testing.assert_allclose(selector(SCANDOT_MIRROR(x)), selector(x), atol=1e-5)
+
+
+def test_fit_selector_is_reproducible():
+    config = SupervisedConfig(epochs=2, batch_size=64, hidden=(8,))
+    data = separable(200, 0)
+    a, b, other = (fit_selector(*data, 3, config, seed)[0] for seed in (0, 0, 1))
+    np.testing.assert_array_equal(a["actor.0.weight"], b["actor.0.weight"])
+    assert (a["actor.0.weight"] != other["actor.0.weight"]).any()
+
+
+def test_first_loss_is_that_of_guessing():
+    # a new network is near uniform over 3 skills: -log(1/3)
+    config = SupervisedConfig(epochs=1, batch_size=10_000, hidden=(8,))
+    _, losses = fit_selector(*separable(500, 0), 3, config, seed=0)
+    assert losses[0] == pytest.approx(np.log(3), abs=0.05)
+
+
+def test_collected_labels_are_the_oracles(env, five_skills):
+    oracle = oracle_hierarchy("oracle", five_skills)
+    wanted = []
+
+    class Noting(Hierarchy):
+        """An actor that always walks, and writes down what the oracle would do."""
+
+        def act(self, observation, env):
+            wanted.append(env.oracle_skill())
+            return super().act(observation, env)
+
+    actor = Noting("walker", tuple(five_skills.values()), lambda o, env: np.zeros(len(o), int), np.arange(5))
+    scandots, labels = collect_labels(env, actor, oracle, 38)
+    assert scandots.shape == (39, NUM_SCANDOTS)  # thirteen steps of three robots
+    np.testing.assert_array_equal(labels, np.concatenate(wanted))
+
+
+def test_action_noise_is_drawn_anew(env, five_skills, monkeypatch):
+    taken, step = [], env.step
+    monkeypatch.setattr(env, "step", lambda action: taken.append(action) or step(action))
+    still = Single("still", lambda o: np.zeros((len(o), 12)))
+    list(visit(env, still, 400, 0.5))
+    assert np.mean(taken) == pytest.approx(0.0, abs=0.05) and np.std(taken) == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_selectors_normaliser_is_that_of_the_scandots():
+    arrays, _ = fit_selector(*separable(50, 0), 3, SupervisedConfig(epochs=1, hidden=(4,)), 0)
+    assert not arrays["normalizer.mean"].any()
+    np.testing.assert_allclose(arrays["normalizer.var"], 0.09)
+
+
+# --- gradient steps ---------------------------------------------------------------------
+
+
+def test_fit_takes_adams_steps():
+    # Adam's first step is the step size times the sign of the gradient: 1 - 0.1, then further down.
+    x = torch.nn.Parameter(torch.tensor([1.0]))
+    generator = torch.Generator().manual_seed(0)
+    assert fit([x], lambda mb: (x**2).sum(), 1, 1, 1, 0.1, generator) == [1.0]
+    np.testing.assert_allclose(x.detach(), [0.9], atol=1e-6)
+
+
+def test_fit_meets_every_state_once_an_epoch_and_averages_over_them():
+    seen = []
+    x = torch.nn.Parameter(torch.zeros(1))
+
+    def loss(mb):
+        seen.append(mb.tolist())
+        return mb.float().mean() + 0.0 * x.sum()
+
+    losses = fit([x], loss, 5, 2, 2, 0.1, torch.Generator().manual_seed(0))
+    assert [len(mb) for mb in seen] == [2, 2, 1] * 2
+    for epoch in (seen[:3], seen[3:]):
+        assert sorted(state for mb in epoch for state in mb) == [0, 1, 2, 3, 4]
+    np.testing.assert_allclose(losses, [2.0, 2.0])  # (0 + 1 + 2 + 3 + 4) / 5, though batches differ in size
+
+
+def test_an_annealed_fit_ends_with_small_steps():
+    # A constant gradient makes each of Adam's steps the step size: 0.1 (1 + 3/4 + 2/4 + 1/4) = 0.25
+    for anneal, expected in ((False, -0.4), (True, -0.25)):
+        x = torch.nn.Parameter(torch.zeros(1))
+        fit([x], lambda mb, x=x: x.sum(), 4, 1, 1, 0.1, torch.Generator(), anneal)
+        np.testing.assert_allclose(x.detach(), [expected], atol=1e-6)
