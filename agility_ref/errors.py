@@ -7,7 +7,6 @@ exception is a fault of ours and keeps its traceback.
 import difflib
 from collections.abc import Iterable
 
-
 MANY = 2**24  # more robots, steps or units than any machine holds
 MAX_SEED = 2**63 - 1  # beyond it torch and JSON lose digits, or fail
 
@@ -31,12 +30,7 @@ def require_at_least(least: float, most: float = float("inf"), /, **given: float
 
 
 def require_pairs(hidden: tuple[int, ...]) -> None:
-    """Refuse numbers of units per hidden layer that are odd, for half of them see the mirrored world.
-
-    Raises
-    ------
-    UserError : or less than 2, or more than MANY
-    """
+    """Refuse layers of an odd number of units with a UserError: half of them see the mirrored world."""
     if any(not 2 <= units <= MANY or units % 2 for units in hidden):
         raise UserError(f"hidden must be even numbers of units, for they come in pairs, not {hidden}")
 

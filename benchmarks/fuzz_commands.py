@@ -142,22 +142,21 @@ def line(grammar: dict[tuple[str, ...], list], rng: random.Random) -> list[str]:
             chosen[flag[0]] = flag[1]
     # What a command cannot do without, mostly.
     words += [word for _, kind, _ in positional if rng.random() > 0.1 * wild for word in value(kind, rng, wild)]
-    if command[0] in ("evaluate",) and rng.random() > wild:
+    if command == ("evaluate",) and rng.random() > wild:
         chosen["environment"] = dict((name, kind) for name, kind, _ in known)["environment"]
     words += [
         word for name, small in SMALL.get(command[0], {}).items() if name not in chosen for word in (f"--{name}", small)
     ]
     for name, kind in chosen.items():
         if kind is bool:
-            words.append(f"--{rng.choice(('', 'no-'))}{name.replace('.', '.', 1)}")
+            where, dot, last = name.rpartition(".")
+            words.append(f"--{where}{dot}{rng.choice(('', 'no-'))}{last}")
         else:
             words += [f"--{name}", *value(kind, rng, wild)]
     if rng.random() < wild:
-        words.insert(
-            rng.randrange(len(words) + 1),
-            rng.choice((*TEXTS, "--help", "--help-all", "--version", "-h", "--no-such-flag", *grammar)[0:]) or "x",
-        )
-    return [word if isinstance(word, str) else word[0] for word in words]
+        stray = (*TEXTS, "--help", "--help-all", "--version", "-h", "--no-such-flag", *COMMANDS)
+        words.insert(rng.randrange(len(words) + 1), rng.choice(stray))
+    return words
 
 
 # ---------------------------------------------------------------------------- one process

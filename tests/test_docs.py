@@ -32,6 +32,19 @@ def test_reward_table_is_that_of_the_code():
         assert formula.replace("&#124;", "|") == TERMS[name].__doc__.splitlines()[0].rstrip(".")
 
 
+def test_the_lock_has_a_hash_for_every_version_that_is_pinned():
+    """requirements.lock is for the core and the tests; it holds no address, and agrees with constraints.txt."""
+    lines = [line for line in (ROOT / "requirements.lock").read_text().splitlines() if not line.startswith("#")]
+    locked = dict(re.fullmatch(r"([a-z0-9-]+)==(\S+) --hash=sha256:[0-9a-f]{64}", line).groups() for line in lines)
+    pinned = dict(re.findall(r"^([a-z0-9-]+)==(\S+)$", (ROOT / "constraints.txt").read_text(), re.M))
+    metadata = configparser.ConfigParser()
+    metadata.read(ROOT / "setup.cfg")
+    wanted = metadata["options"]["install_requires"] + "\n" + metadata["options.extras_require"]["test"]
+    for name in re.findall(r"^\s*([a-z0-9-]+)>=", wanted, re.M):
+        assert locked[name].partition("+")[0] == pinned[name]
+    assert all(locked[name].partition("+")[0] == pinned[name] for name in locked.keys() & pinned)
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_files_that_the_pages_link_to_exist(page):
     path = ROOT / page

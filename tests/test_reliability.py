@@ -1,4 +1,4 @@
-"""Quick forms of benchmarks/crash_test.py and benchmarks/fuzz_files.py, and what a machine may do to a run."""
+"""Quick forms of benchmarks/crash_test.py, fuzz_files.py and fuzz_commands.py, and what a machine may do to a run."""
 
 import os
 import resource
@@ -48,6 +48,16 @@ def test_damaged_files_are_refused_or_as_good_as_new(tmp_path):
         "config",
     }
     assert {kind for kind, _, outcome in counts if outcome == "loaded"} >= {"checkpoint", "cell"}
+
+
+@pytest.mark.parametrize("lines", [60, pytest.param(2000, marks=pytest.mark.slow)])
+def test_whatever_is_typed_ends_with_an_exit_status(lines):
+    """In a process of its own, for it sets alarms and watches what is written for good."""
+    command = [sys.executable, ROOT / "benchmarks" / "fuzz_commands.py", "--lines", str(lines), "--seconds", "0.3"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=5 * lines + 300)
+    assert done.returncode == 0, done.stderr
+    assert f"{lines} of {lines};" in done.stdout
 
 
 def run(*arguments, **options):

@@ -1,9 +1,7 @@
 """Loopback: the live page is for browsers of this machine, and for pages of its own.
 
-A stranger's page in the visitor's browser reaches 127.0.0.1 too: directly, or under the stranger's name,
-which may be made to point there (DNS rebinding).  The headers Host and Origin tell it from ours.
-
-In:  nothing.  Out: a context in which viser, which has no hook for this, gets the one of websockets below it.
+A stranger's page in the visitor's browser reaches 127.0.0.1 too: directly, or under the stranger's name, which
+may be made to point there (DNS rebinding).  The headers Host and Origin tell it from ours.
 """
 
 from collections.abc import Iterator
@@ -15,7 +13,7 @@ LOOPBACK = "127.0.0.1"
 
 @contextmanager
 def refusing_strangers() -> Iterator[None]:
-    """Let the server that starts in this block refuse, with status 403, what was not asked of this machine by name."""
+    """Let the server of websockets that viser starts in this block refuse, with status 403, what is not asked of this machine."""
     from websockets.asyncio import server
 
     def serve(*args, process_request, **options):

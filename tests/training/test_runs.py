@@ -109,6 +109,18 @@ def test_same_seed_same_run(config, tmp_path):
         np.testing.assert_array_equal(first[name], second[name], err_msg=name)
 
 
+def test_threads_a_bar_and_the_folder_do_not_change_a_bit(config, tmp_path, monkeypatch):
+    runs_ = {}
+    for threads, quiet, here in (("1", True, "a"), ("2", False, "b")):
+        (tmp_path / here).mkdir()
+        monkeypatch.chdir(tmp_path / here)
+        monkeypatch.setenv("AGILITY_REF_THREADS", threads)
+        folder = train_policy("walk", replace(config, out=str(tmp_path / here / "runs")), quiet=quiet)
+        runs_[here] = read_npz(folder / "policy.npz")[0]
+    for name in runs_["a"]:
+        np.testing.assert_array_equal(runs_["a"][name], runs_["b"][name], err_msg=name)
+
+
 def test_a_long_run_of_short_iterations(config):
     tiny = PPOConfig(num_envs=1, num_steps=2, hidden=(4,), update_epochs=1, num_minibatches=1)
     folder = train_policy("walk", replace(config, ppo=tiny, steps=2 * 120), quiet=True, draw=learning_curve)
