@@ -190,7 +190,7 @@ class Watched:
         if isinstance(path, int):  # a file that was opened before
             return
         path = os.fsdecode(path)
-        if not os.path.realpath(path).startswith((self.allowed, "/dev/", "/proc/")):
+        if not os.path.realpath(path).startswith((self.allowed, "/dev/", "/proc")):
             self.seen.append(f"{event} {path}")
 
 

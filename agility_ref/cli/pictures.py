@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 from agility_ref.cli.commands import Environment, Evaluated, File, Folder, Policy, Preset, command_line, take
-from agility_ref.errors import MAX_SEED, UserError, require_at_least
+from agility_ref.errors import MANY, MAX_SEED, UserError, require_at_least
 
 import tyro
 
@@ -204,7 +204,7 @@ def plot_oracle_map(options: OracleMap) -> None:
     """Draw the oracle policy map."""
     from agility_ref.pictures.pictures import oracle_map
 
-    require_at_least(1, courses=options.courses, robots=options.robots)
+    require_at_least(1, MANY, courses=options.courses, robots=options.robots)
     _save_played(options, "oracle-map", oracle_map, options.courses, options.robots)
 
 
