@@ -20,7 +20,7 @@ from functools import lru_cache
 
 from agility_ref.curriculum import find_preset
 from agility_ref.env import EnvConfig, Go1Env
-from agility_ref.errors import UserError, unknown_name
+from agility_ref.errors import UserError, require_at_least, unknown_name
 from agility_ref.selector import Hierarchy, Single
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, make_course
 from agility_ref.world import World
@@ -45,6 +45,14 @@ class EvaluationConfig:
     difficulty: float | None = None  # fixes the difficulty of all courses, 0 to 1
     clean: bool = False  # turn noise, pushes, payload and friction differences off
     protocol: str = "complete"  # complete: whole episodes, paired; as-published: counts as the original evaluator does
+
+    def __post_init__(self):
+        if self.protocol not in PROTOCOLS:
+            raise unknown_name("protocol", self.protocol, PROTOCOLS)
+        require_at_least(0, seed=self.seed)
+        require_at_least(1, episodes=self.episodes)
+        if self.difficulty is not None and not 0.0 <= self.difficulty <= 1.0:
+            raise UserError(f"difficulty must be between 0 and 1, not {self.difficulty}")
 
 
 def in_first_episode(done: np.ndarray) -> np.ndarray:
@@ -126,23 +134,6 @@ def mean_std(values: np.ndarray, metric: str, protocol: str) -> tuple[float, flo
     return float(values.mean()), std
 
 
-def check_evaluation(config: EvaluationConfig) -> None:
-    """Refuse settings that cannot be played.
-
-    Raises
-    ------
-    UserError : unknown protocol, negative seed, no episodes, difficulty outside [0, 1]
-    """
-    if config.protocol not in PROTOCOLS:
-        raise unknown_name("protocol", config.protocol, PROTOCOLS)
-    if config.seed < 0:
-        raise UserError(f"seed must be at least 0, not {config.seed}")
-    if config.episodes < 1:
-        raise UserError(f"episodes must be at least 1, not {config.episodes}")
-    if config.difficulty is not None and not 0.0 <= config.difficulty <= 1.0:
-        raise UserError(f"difficulty must be between 0 and 1, not {config.difficulty}")
-
-
 @lru_cache(maxsize=1)  # 2 MB a course, and a table goes through one terrain after another
 def evaluation_world(environment: str, config: EvaluationConfig) -> World:
     """Build the terrain of an evaluation; see :func:`evaluation_courses`."""
@@ -160,11 +151,10 @@ def evaluation_courses(environment: str, config: EvaluationConfig) -> list[Cours
 
     Raises
     ------
-    UserError : unknown environment, preset or protocol, difficulty outside [0, 1], no episodes
+    UserError : unknown environment or preset
     """
     if environment not in COURSE_KINDS:
         raise unknown_name("environment", environment, COURSE_KINDS)
-    check_evaluation(config)
     highest = find_preset(config.preset).max_difficulty
     kind = COURSE_KINDS.index(environment)
     courses, first = [], 0.0
@@ -198,7 +188,6 @@ def evaluate(
     UserError : as :func:`evaluation_courses`
     ValueError : another protocol; :func:`agility_ref.results.published.evaluate_by_protocol` has both
     """
-    check_evaluation(config)
     if config.protocol != "complete":
         raise ValueError(f"evaluate plays complete episodes, not {config.protocol}")
     env = evaluation_env(environment, config, env_config)

@@ -372,7 +372,7 @@ def test_a_full_disk_is_one_line(monkeypatch, capsys):
 def test_a_table_is_refused_before_it_is_trained(monkeypatch, capsys):
     monkeypatch.setattr("agility_ref.results.table1.train_all", lambda *args: pytest.fail("trained"))
     assert main("table1 --train --episodes 0".split()) == 2
-    assert "episodes must be at least 1, not 0" in capsys.readouterr().err
+    assert "episodes must be a number of at least 1, not 0" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("flags, message", [
