@@ -14,7 +14,6 @@ Out: the index of each robot's next course in the :class:`~agility_ref.world.Wor
 from dataclasses import dataclass
 
 from agility_ref.errors import MANY, require_at_least, unknown_name
-from agility_ref.files import pack_stream, unpack_stream
 from agility_ref.terrain import EASIEST, make_course
 from agility_ref.world import World
 
@@ -139,16 +138,3 @@ class Curriculum:
     def levels(self) -> np.ndarray:
         """Frontier of each kind as a fraction of the top level, (K,)."""
         return self.frontier / max(self.config.num_levels - 1, 1)
-
-    def state(self) -> dict[str, np.ndarray]:
-        """Return what a resumed run needs."""
-        own = {name: getattr(self, name).copy() for name in ("frontier", "score", "kind", "level")}
-        return own | {"rng": pack_stream(self.rng)}
-
-    def load_state(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from :meth:`state`."""
-        top = self.config.num_levels - 1
-        self.frontier[:], self.level[:] = (np.clip(state[name], 0, top) for name in ("frontier", "level"))
-        self.kind[:] = np.clip(state["kind"], 0, len(self.frontier) - 1)
-        self.score[:] = state["score"]
-        unpack_stream(self.rng, state["rng"])

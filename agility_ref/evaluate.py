@@ -46,6 +46,14 @@ class EvaluationConfig:
     clean: bool = False  # turn noise, pushes, payload and friction differences off
     protocol: str = "complete"  # complete: whole episodes, paired; as-published: counts as the original evaluator does
 
+    def __post_init__(self):
+        if self.protocol not in PROTOCOLS:
+            raise unknown_name("protocol", self.protocol, PROTOCOLS)
+        require_at_least(0, MAX_SEED, seed=self.seed)
+        require_at_least(1, episodes=self.episodes)
+        if self.difficulty is not None and not 0.0 <= self.difficulty <= 1.0:
+            raise UserError(f"difficulty must be between 0 and 1, not {self.difficulty}")
+
 
 def in_first_episode(done: np.ndarray) -> np.ndarray:
     """Which steps belong to each robot's first episode: (T, N) -> (T, N) bool."""
@@ -126,21 +134,6 @@ def mean_std(values: np.ndarray, metric: str, protocol: str) -> tuple[float, flo
     return float(values.mean()), std
 
 
-def check_evaluation(config: EvaluationConfig) -> None:
-    """Refuse settings that cannot be played.
-
-    Raises
-    ------
-    UserError : unknown protocol, negative seed, no episodes, difficulty outside [0, 1]
-    """
-    if config.protocol not in PROTOCOLS:
-        raise unknown_name("protocol", config.protocol, PROTOCOLS)
-    require_at_least(0, MAX_SEED, seed=config.seed)
-    require_at_least(1, episodes=config.episodes)
-    if config.difficulty is not None and not 0.0 <= config.difficulty <= 1.0:
-        raise UserError(f"difficulty must be between 0 and 1, not {config.difficulty}")
-
-
 @lru_cache(maxsize=1)  # 2 MB a course, and a table goes through one terrain after another
 def evaluation_world(environment: str, config: EvaluationConfig) -> World:
     """Build the terrain of an evaluation; see :func:`evaluation_courses`."""
@@ -158,11 +151,10 @@ def evaluation_courses(environment: str, config: EvaluationConfig) -> list[Cours
 
     Raises
     ------
-    UserError : unknown environment, preset or protocol, difficulty outside [0, 1], no episodes
+    UserError : unknown environment or preset
     """
     if environment not in COURSE_KINDS:
         raise unknown_name("environment", environment, COURSE_KINDS)
-    check_evaluation(config)
     highest = find_preset(config.preset).max_difficulty
     kind = COURSE_KINDS.index(environment)
     courses, first = [], 0.0
@@ -196,7 +188,6 @@ def evaluate(
     UserError : as :func:`evaluation_courses`
     ValueError : another protocol; :func:`agility_ref.results.published.evaluate_by_protocol` has both
     """
-    check_evaluation(config)
     if config.protocol != "complete":
         raise ValueError(f"evaluate plays complete episodes, not {config.protocol}")
     env = evaluation_env(environment, config, env_config)

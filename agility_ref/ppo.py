@@ -291,8 +291,8 @@ def _descend(optimizer: torch.optim.Adam, learning_rate: float, loss: torch.Tens
 def update(learner: Learner, rollout: Rollout) -> dict[str, float]:
     """One PPO update; return the mean losses, KL and clip fraction.
 
-    Actor and critic share no weights, so they learn side by side, each in a thread of its own:
-    two cores stay busy, and the result does not depend on their timing.
+    Actor and critic share no weights, so they learn side by side, each in a thread of its own, in
+    which the libraries start no others: two cores stay busy, and their timing changes no bit.
     """
     c, r = learner.config, rollout
     advantages = gae(r.rewards, r.values, r.next_values, r.terminated, r.truncated, c.gamma, c.gae_lambda)
@@ -305,7 +305,7 @@ def update(learner: Learner, rollout: Rollout) -> dict[str, float]:
         Batch(parts[i], actions[i], advantages[i], returns[i], outputs[i], log_prob[i])
         for i in torch.randperm(len(parts), generator=learner.generator).chunk(c.num_minibatches)
     ]
-    with ThreadPoolExecutor(2) as pool:
+    with ThreadPoolExecutor(2, initializer=torch.set_num_threads, initargs=(1,)) as pool:
         # The critic keeps the step size of the start, the actor steers it by the KL divergence.
         rate = c.critic_learning_rate or (c.learning_rate if learner.actor_rests else learner.learning_rate)
         critic = pool.submit(update_critic, learner, batches, rate)

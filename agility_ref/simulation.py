@@ -21,19 +21,6 @@ import numpy as np
 from mujoco import batch
 
 
-def default_threads() -> int:
-    """Return what AGILITY_REF_THREADS says, for jobs that share a machine; else 0, which MuJoCo takes for all cores.
-
-    Raises
-    ------
-    UserError : the variable holds no number
-    """
-    text = os.environ.get("AGILITY_REF_THREADS", "0")
-    if not text.isdecimal():
-        raise UserError(f"AGILITY_REF_THREADS is a number of threads, not {text!r}")
-    return int(text)
-
-
 def bounding_volumes(tree: mujoco.MjModel, model: mujoco.MjModel) -> np.ndarray:
     """Return ``model``'s bounding volumes (nbvh, 6), centre and half size, in the tree of another model.
 
@@ -115,14 +102,17 @@ class Simulation:
         num_robots : N
         config : simulator and joint controller
         conditions : friction of the ground and payload [kg], for each course
-        num_threads : 0 for those of :func:`default_threads`; results do not depend on it
+        num_threads : 0 for what AGILITY_REF_THREADS says, else all cores; results do not depend on it
         """
+        shared = os.environ.get("AGILITY_REF_THREADS", "0")  # for jobs that share a machine
+        if not shared.isdecimal():
+            raise UserError(f"AGILITY_REF_THREADS is a number of threads, not {shared!r}")
         num_boxes = max(len(course.boxes) for course in courses)
         self.models = [
             make_model(course, config, num_boxes=num_boxes, friction=friction, payload=payload)
             for course, (friction, payload) in zip(courses, conditions, strict=True)
         ]
-        self.batch = batch.Batch(self.models[0], num_robots, num_threads or default_threads())
+        self.batch = batch.Batch(self.models[0], num_robots, num_threads or int(shared))
         self._placement = Placement(self.batch, self.models)
         self.batch.reset(keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self.home, self._start = self.models[0].key_qpos[0].copy(), self.batch.state[0].copy()

@@ -34,6 +34,7 @@ TRAIN = ["train", "walk", *COURSES, *NETWORK, "--ppo.num-envs", str(ROBOTS), "--
 TABLE = "table1 --preset quick --episodes 1 --difficulty 0".split()
 
 # A server that has imported everything starts a command in milliseconds instead of seconds.
+os.environ.pop("OMP_NUM_THREADS", None)  # as in most shells: what libraries do with two threads must not change a bit
 SERVER = multiprocessing.get_context("forkserver")
 SERVER.set_forkserver_preload(["agility_ref.cli.main", "agility_ref.training.runs", "agility_ref.results.table1"])
 

@@ -242,30 +242,3 @@ def test_a_single_level_is_the_bottom():
     curriculum = Curriculum(2, 4, replace(PLAIN, num_levels=1), seed=0)
     np.testing.assert_array_equal(curriculum.next_course(np.arange(4), np.ones(4)), curriculum.kind)
     assert curriculum.levels().tolist() == [0.0, 0.0]
-
-
-def test_state_round_trip():
-    a, b = (Curriculum(2, 6, PLAIN, seed) for seed in (0, 1))
-    a.frontier[:], a.score[:] = [3, 1], [0.3, 0.7]
-    state = a.state()
-    a.frontier[:], a.score[:] = 0, 0.0
-    b.load_state(state)
-    np.testing.assert_array_equal(b.frontier, [3, 1])
-    np.testing.assert_array_equal(b.score, [0.3, 0.7])
-    state["score"][:] = 0.0
-    np.testing.assert_array_equal(b.score, [0.3, 0.7])
-
-
-def test_a_restored_curriculum_goes_on_alike():
-    a = Curriculum(2, 6, PLAIN, seed=0)
-    rng = np.random.default_rng(0)
-    a.next_course(np.arange(6), None)
-    for _ in range(20):
-        a.next_course(np.arange(6), rng.random(6))
-    b = Curriculum(2, 6, PLAIN, seed=0)
-    b.load_state(a.state())
-    a.rng, b.rng = np.random.default_rng(1), np.random.default_rng(1)
-    for curriculum in (a, b):
-        curriculum.next_course(np.arange(6), None)
-    np.testing.assert_array_equal(a.kind, b.kind)
-    np.testing.assert_array_equal(a.level, b.level)

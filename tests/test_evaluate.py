@@ -118,15 +118,16 @@ def test_more_episodes_keep_the_first_courses():
 
 
 @pytest.mark.parametrize("environment, config, message", [
-    ("beams", FEW, "unknown environment 'beams': did you mean beam"),
-    ("gap", EvaluationConfig(preset="ful"), "unknown preset"),
-    ("gap", EvaluationConfig(protocol="published"), "unknown protocol 'published': did you mean as-published"),
-    ("gap", EvaluationConfig(episodes=0), "episodes"),
-    ("gap", EvaluationConfig(difficulty=1.5), "difficulty"),
+    ("beams", {}, "unknown environment 'beams': did you mean beam"),
+    ("gap", {"preset": "ful"}, "unknown preset"),
+    ("gap", {"protocol": "published"}, "unknown protocol 'published': did you mean as-published"),
+    ("gap", {"episodes": 0}, "episodes must be a number of at least 1, not 0"),
+    ("gap", {"seed": -1}, "seed must be a number of at least 0, not -1"),
+    ("gap", {"difficulty": 1.5}, "difficulty must be between 0 and 1, not 1.5"),
 ])  # fmt: skip
 def test_bad_input_is_refused(environment, config, message):
     with pytest.raises(UserError, match=message):
-        evaluation_world(environment, config)
+        evaluation_world(environment, EvaluationConfig(**config))
 
 
 def test_clean_turns_noise_and_pushes_off():

@@ -1,3 +1,4 @@
+from agility_ref.errors import UserError
 from agility_ref.go1 import DEFAULT_DOF_POS, PhysicsConfig, make_model
 from agility_ref.simulation import Placement, Simulation, bounding_volumes
 from agility_ref.terrain import COURSE_KINDS, make_course
@@ -138,3 +139,16 @@ def test_volumes_hold_everything_below_them(models):
             if geom >= 0:
                 np.testing.assert_allclose(high[node] - low[node], 2 * model.geom_size[geom], atol=1e-9)
                 np.testing.assert_allclose((high[node] + low[node]) / 2, model.geom_pos[geom], atol=1e-9)
+
+
+def test_threads_can_be_set_from_outside(monkeypatch):
+    asked, real = [], batch.Batch
+    monkeypatch.setattr(batch, "Batch", lambda model, n, threads: asked.append(threads) or real(model, n, threads))
+    for text in ("0", "2"):
+        monkeypatch.setenv("AGILITY_REF_THREADS", text)
+        Simulation([make_course("walk", 0.5, 0)], 1, PhysicsConfig(), CONDITIONS[:1])
+    assert asked == [0, 2]
+    for text in ("many", "-1", ""):
+        monkeypatch.setenv("AGILITY_REF_THREADS", text)
+        with pytest.raises(UserError, match="AGILITY_REF_THREADS"):
+            Simulation([make_course("walk", 0.5, 0)], 1, PhysicsConfig(), CONDITIONS[:1])

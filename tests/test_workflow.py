@@ -7,11 +7,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from agility_ref.errors import UserError
 from agility_ref.policy import Policy
 from agility_ref.results.cells import cell_path
 from agility_ref.results.table1 import table_lines
-from agility_ref.simulation import default_threads
 from agility_ref.training.policies import POLICIES
 
 import pytest
@@ -98,14 +96,3 @@ def test_slurm_would_run_the_whole_table(tmp_path):
 def test_unknown_policy_is_named(tmp_path):
     process = snakemake(tmp_path, "--dry-run", "table1", config=TINY | {"policies": ["fly"]})
     assert process.returncode != 0 and "unknown policy" in process.stdout + process.stderr
-
-
-def test_threads_can_be_set_from_outside(monkeypatch):
-    monkeypatch.delenv("AGILITY_REF_THREADS", raising=False)
-    assert default_threads() == 0
-    monkeypatch.setenv("AGILITY_REF_THREADS", "3")
-    assert default_threads() == 3
-    for text in ("many", "-1", ""):
-        monkeypatch.setenv("AGILITY_REF_THREADS", text)
-        with pytest.raises(UserError, match="AGILITY_REF_THREADS"):
-            default_threads()

@@ -175,7 +175,6 @@ class Table1(Evaluated):
 
 def table1(options: Table1) -> None:
     """Compute Table 1, and what it says about the paper's findings."""
-    from agility_ref.evaluate import check_evaluation
     from agility_ref.files import remove_partials
     from agility_ref.results import findings, table1
     from agility_ref.training.bank import WeightsConfig, existing
@@ -194,7 +193,6 @@ def table1(options: Table1) -> None:
     if options.ablations and not Path(options.ablations).is_file():
         raise UserError(f"no file of ablations at {options.ablations}")
     training = WeightsConfig(preset=config.preset, out=options.runs if options.train else existing(options.runs))
-    check_evaluation(config)
     for seed in seeds if options.train else ():
         table1.train_all(replace(training, seed=seed))
     try:

@@ -20,7 +20,7 @@ from pathlib import Path
 from agility_ref.curriculum import find_preset
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError, unknown_name
-from agility_ref.evaluate import EvaluationConfig, check_evaluation
+from agility_ref.evaluate import EvaluationConfig
 from agility_ref.pictures.loopback import LOOPBACK, refusing_strangers
 from agility_ref.pictures.plots import skill_colour
 from agility_ref.pictures.record import Episode
@@ -52,7 +52,6 @@ class Session:
     def __init__(self, policy: Single | Hierarchy, environment: str, config: EvaluationConfig):
         if environment not in COURSE_KINDS:
             raise unknown_name("environment", environment, COURSE_KINDS)
-        check_evaluation(config)
         highest = find_preset(config.preset).max_difficulty
         self.policy, self.environment, self.config = policy, environment, config
         self.difficulty = highest / 2 if config.difficulty is None else config.difficulty

@@ -7,7 +7,7 @@ Out: the four metrics, one number an ended episode.
 """
 
 from agility_ref.env import EnvConfig
-from agility_ref.evaluate import Evaluation, EvaluationConfig, check_evaluation, evaluate, evaluation_env, rollout
+from agility_ref.evaluate import Evaluation, EvaluationConfig, evaluate, evaluation_env, rollout
 from agility_ref.selector import Hierarchy, Single
 
 import numpy as np
@@ -86,7 +86,6 @@ def evaluate_by_protocol(
     env_config: EnvConfig = EnvConfig(),
 ) -> Evaluation:
     """Play the deterministic policy on every course and measure it by the protocol of ``config``."""
-    check_evaluation(config)
     if config.protocol == "complete":
         return evaluate(policy, environment, config, env_config)
     env = evaluation_env(environment, config, env_config)

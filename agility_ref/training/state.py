@@ -26,6 +26,7 @@ ROBOTS = (
     "push_timer", "_reach_timer", "_reach_step", "_step_count", "_last_action", "_scandots", "_clock",
     "_episode_reward", "_episode_edge", "observation",
 )  # fmt: skip
+COURSES = ("frontier", "score", "kind", "level")  # of a Curriculum, likewise
 MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # what Adam remembers of each parameter
 
 
@@ -53,28 +54,37 @@ def learner_state(learner: Learner) -> dict[str, np.ndarray]:
 
 def robots_state(env: Go1Env, curriculum: Curriculum) -> dict[str, np.ndarray]:
     """Return where the robots are, and which courses come next."""
-    robots = {name.strip("_"): getattr(env, name).copy() for name in ROBOTS}
-    robots |= {"rng": pack_stream(env.rng), "disturbance_rng": pack_stream(env._disturbance_rng)}
-    robots["physics"] = env.simulation.batch.state.copy()
-    parts = {"env": robots, "curriculum": curriculum.state()}
-    return {f"{part}.{name}": array for part, state in parts.items() for name, array in state.items()}
+    parts = (("env", env, ROBOTS), ("curriculum", curriculum, COURSES))
+    state = {f"{part}.{name.strip('_')}": getattr(x, name).copy() for part, x, names in parts for name in names}
+    streams = {name: pack_stream(rng) for name, rng in _streams(env, curriculum).items()}
+    return state | streams | {"env.physics": env.simulation.batch.state.copy()}
 
 
-def load_robots(env: Go1Env, state: dict[str, np.ndarray]) -> None:
+def _streams(env: Go1Env, curriculum: Curriculum) -> dict[str, np.random.Generator]:
+    return {"env.rng": env.rng, "env.disturbance_rng": env._disturbance_rng, "curriculum.rng": curriculum.rng}
+
+
+def load_robots(env: Go1Env, curriculum: Curriculum, arrays: dict[str, np.ndarray]) -> None:
     """Put the robots where :func:`robots_state` found them; ``env.observation`` is what they saw last.
 
     Raises
     ------
-    UserError : a robot is on no course of this world
+    UserError : a robot or a frontier is on no course of this world
     """
-    for name, end in (("course", len(env.world)), ("waypoint_index", NUM_WAYPOINTS)):
-        if state[name].min() < 0 or state[name].max() >= end:
-            raise UserError(f"{name} of a robot must be from 0 to {end - 1}")
-    for name in ROBOTS:
-        getattr(env, name)[...] = state[name.strip("_")]
-    env.simulation.load_state(env.course, state["physics"])
-    unpack_stream(env.rng, state["rng"])
-    unpack_stream(env._disturbance_rng, state["disturbance_rng"])
+    levels = curriculum.config.num_levels
+    ends = {
+        "env.course": len(env.world), "env.waypoint_index": NUM_WAYPOINTS, "curriculum.kind": len(curriculum.frontier),
+        "curriculum.level": levels, "curriculum.frontier": levels,
+    }  # fmt: skip
+    for name, end in ends.items():
+        if arrays[name].min() < 0 or arrays[name].max() >= end:
+            raise UserError(f"{name} of the checkpoint must be from 0 to {end - 1}")
+    for part, target, names in (("env", env, ROBOTS), ("curriculum", curriculum, COURSES)):
+        for name in names:
+            getattr(target, name)[...] = arrays[f"{part}.{name.strip('_')}"]
+    env.simulation.load_state(env.course, arrays["env.physics"])
+    for name, rng in _streams(env, curriculum).items():
+        unpack_stream(rng, arrays[name])
 
 
 def go_on(arrays: dict[str, np.ndarray], learner: Learner, env: Go1Env, curriculum: Curriculum) -> None:
@@ -84,12 +94,7 @@ def go_on(arrays: dict[str, np.ndarray], learner: Learner, env: Go1Env, curricul
     ------
     UserError : the arrays cannot be those of a run
     """
-    robots, courses = (
-        {name.removeprefix(part): array for name, array in arrays.items() if name.startswith(part)}
-        for part in ("env.", "curriculum.")
-    )
-    load_robots(env, robots)
-    curriculum.load_state(courses)
+    load_robots(env, curriculum, arrays)
     load_learner(learner, arrays)
 
 

@@ -232,16 +232,11 @@ def test_single_policy_has_no_skills(oracle):
     assert session.skill is None and session.skill_names == () and "skill" not in session.status()
 
 
-@pytest.mark.parametrize("environment, config, message", [
-    ("gaps", CONFIG, "unknown environment 'gaps'"),
-    ("gap", EvaluationConfig(difficulty=2.0), "between 0 and 1, not 2.0"),
-    ("gap", EvaluationConfig(seed=-1), "seed must be a number of at least 0, not -1"),
-])  # fmt: skip
-def test_bad_sessions_are_user_errors(oracle, environment, config, message):
+def test_an_unknown_environment_is_the_users_error(oracle):
     from agility_ref.pictures.viewer import Session
 
-    with pytest.raises(UserError, match=message):
-        Session(oracle, environment, config)
+    with pytest.raises(UserError, match="unknown environment 'gaps'"):
+        Session(oracle, "gaps", CONFIG)
 
 
 def test_without_viser_one_line_says_what_to_install(monkeypatch, capsys, tmp_path, finished_run):
