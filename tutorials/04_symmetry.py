@@ -324,10 +324,10 @@ print(f"time: {time.perf_counter() - STARTED:.0f} s")
 # %% [markdown]
 # <details><summary>Answer</summary>
 #
-# On paper never: with equal numbers on both sides the legs move in pairs, front with front and rear with rear, for ever.  You
-# can see it try: in the first strides of the ideal world both rear feet leave the ground together, a gait that the policy has
-# never practised.  In the simulation it can get away from there, because something breaks the tie: the centre of mass that
-# lies 2 mm to the left (4.2), and, if that were not so, the rounding errors of some $10^{-7}$ with which the blue line begins.
+# On paper never: with equal numbers on both sides the legs move in pairs, front with front and rear with rear, for ever.  Look
+# at the feet of the ideal world: as long as the blue line is low, left and right feet lift off and land together, a gait that
+# the policy has never practised.  In the simulation it can get away from there, because something breaks the tie: the centre
+# of mass that lies 2 mm to the left (4.2), and, if that were not so, the rounding errors with which the blue line begins.
 # A robot on its legs is unstable, so such a difference grows until one side wins.  With noise the tie is broken at the first
 # step.
 #

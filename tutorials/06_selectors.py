@@ -71,9 +71,9 @@ show(figure, "06_specialists")
 # %% [markdown]
 # <details><summary>Answer</summary>
 #
-# `climb-up` climbs to the top of `climb` and then meets its first step down, which it has never seen: about half of the
-# course.  `climb-down` does not get up the first step.  On `climb-gap` nobody is at home: the best of them does the part of
-# the course that looks like its own.
+# `climb-up` climbs to the top of `climb`, which is half of the course, and there meets its first step down, which it has never
+# practised.  `climb-down` meets its first step up at the start.  On `climb-gap` nobody is at home: the best of them does the
+# part of the course that looks like its own.
 #
 # </details>
 

@@ -25,7 +25,7 @@ import time
 from dataclasses import replace
 
 from agility_ref.evaluate import EvaluationConfig, evaluate
-from agility_ref.pictures.plots import BLUE, GREEN, ORANGE, RED, new_figure, show
+from agility_ref.pictures.plots import BLUE, GREEN, ORANGE, SKILL_COLOURS, new_figure, show
 from agility_ref.policy import Policy
 from agility_ref.ppo import normalize_advantages
 from agility_ref.selector import Single, oracle_hierarchy
@@ -134,7 +134,7 @@ scalings = {
 figure, axes = new_figure(1, 3, (11.0, 3.0))
 for axis, (label, values) in zip(axes[0], scalings.items(), strict=True):
     spread = [values[kinds == kind].std() for kind in (0, 1)]
-    for kind, name, colour in ((0, "walk", BLUE), (1, "gap", RED)):
+    for kind, name, colour in ((0, "walk", SKILL_COLOURS["walk"]), (1, "gap", SKILL_COLOURS["leap"])):
         axis.hist(values[kinds == kind], bins=np.linspace(-4, 4, 81), color=colour, alpha=0.6, label=name)
     axis.set(title=label, xlabel="advantage [-]", yticks=[])
     print(f"{label:17} walk scatters by {spread[0]:.2f}, gap by {spread[1]:.2f}")
@@ -144,8 +144,8 @@ show(figure, "07_advantages")
 # %% [markdown]
 # <details><summary>Answer</summary>
 #
-# By 1.4 and 0.14: scaling everything by one number leaves the ratio of ten to one as it was, and the gradient with it.  The
-# network learns to walk still better, and what little the robots before the gap have to say is drowned.  Scaled **within each
+# By 1.4 and 0.14: scaling everything by one number leaves the ratio of ten to one as it was.  The gradient comes nearly all from
+# the robots that walk: the network learns to walk still better, and what the robots before the gap have found out is drowned.  Scaled **within each
 # kind of course**, every task has the same weight.  `normalize_advantages` in `ppo.py` does that; for a specialist, with its
 # one kind, it is the usual scaling.
 #
@@ -199,12 +199,12 @@ print(f"time: {time.perf_counter() - STARTED:.0f} s")
 # %% [markdown]
 # <details><summary>How to read it, and a surprise</summary>
 #
-# If a student of GEN-5's size does what the bank does, the size of the network was not what held GEN-5 back.  Look at
-# `distilled` in 7.2, which saw forty times as many states as the student here, before you decide.  What makes this surprising
+# If a student of GEN-5's size does what the bank does, the size of the network was not what held GEN-5 back.  Before you
+# decide, look at `distilled` in 7.2 as well: it saw forty times as many states as the first student here.  What makes this surprising
 # is where the effort goes: millions of steps to find five skills, and minutes to move them into one network.  **Finding a skill
 # is expensive, holding it is cheap.**  So "one network or five?" and "one training or five?" are two questions, and the paper's
-# comparison of generalists with specialists asks both at once.  Its section 5 hopes for this "post-generalist"; it needs
-# the bank first, though, and whoever compares its steps must count the bank's as well.
+# comparison of generalists with specialists asks both at once.  Its section 5 hopes for this "post-generalist"; but it needs
+# the bank first, so whoever compares its steps must count the bank's as well.
 #
 # </details>
 #
