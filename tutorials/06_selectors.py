@@ -130,7 +130,7 @@ classifier = fit(seen, wanted)
 cloned = selector_hierarchy("cloned", skills, classifier)
 
 # %% [markdown]
-# Somebody who always says `walk` is already right in the first of those shares.  So look at the accuracy on courses that
+# A chooser that always says `walk` is already right as often as the first of those shares says.  So look at the accuracy on courses that
 # training has not seen, and on **two** kinds of states: those that the oracle visits, and those into which the classifier
 # brings the robots itself.
 #
