@@ -21,8 +21,8 @@ def parser() -> argparse.ArgumentParser:
 
     take = commands.add_parser("grade", help="grade one submission, or a folder of folders and zips")
     take.add_argument("name", help=f"one of {', '.join(assignment.NAMES)}")
-    take.add_argument("submissions", type=Path, help="a submission, or a folder with one folder or zip a student")
-    take.add_argument("--csv", type=Path, help="one row a student: score, points of every test, what went wrong")
+    take.add_argument("submissions", type=Path, help="a submission, or a folder with one folder or zip per student")
+    take.add_argument("--csv", type=Path, help="one row per student: score, points of every test, what went wrong")
     take.add_argument("--junit", type=Path, help="pytest's JUnit file; with several students one each, x.anna.xml")
     take.add_argument("--gradescope", type=Path, help="results.json for Gradescope; likewise")
     take.add_argument("--seeds", type=int, nargs="+", help="of the tests; drawn anew and printed unless given")

@@ -1,6 +1,6 @@
 """Grading: each submission in a process of its own, on a copy, with limits of time, memory and output.
 
-pytest runs the public and the hidden tests; the conftest of the tests writes one line a test, and what
+pytest runs the public and the hidden tests; the conftest of the tests writes one line per test, and what
 is here adds up points.  This is no sandbox: it keeps accidents of one submission from the others, not
 an attacker from the machine.
 """

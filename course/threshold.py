@@ -10,7 +10,7 @@ from course.release import release
 
 
 def measure(seeds: list[int]) -> None:
-    """Train once a seed; print how fast the robots go, how far they get without noise, and the processor time."""
+    """Train once per seed; print how fast the robots go, how far they get without noise, and the processor time."""
     assignment = Assignment("hw3")
     table, speeds = assignment.training, []
     with tempfile.TemporaryDirectory() as folder:

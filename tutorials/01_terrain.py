@@ -26,7 +26,7 @@ from dataclasses import replace
 
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.observation import SCANDOT_X, SCANDOT_Y, SCANDOTS, wrap
-from agility_ref.pictures.plots import BLUE, RED, SKILL_COLOURS, new_figure, show
+from agility_ref.pictures.plots import SKILL_COLOURS, new_figure, show
 from agility_ref.terrain import (
     CELL,
     COURSE_KINDS,
@@ -159,8 +159,8 @@ d = np.linspace(0, 1, 2001)
 figure, axes = new_figure(1, 1, (7.0, 4.0))
 axis = axes[0, 0]
 axis.axvspan(0, 0.4, color="#eeeeee", label="range of preset quick")
-axis.plot(d, [step_height(v) for v in d], color=BLUE, label="step height")
-axis.plot(d, [gap_width(v) for v in d], color=RED, label="gap width")
+axis.plot(d, [step_height(v) for v in d], color=SKILL_COLOURS["climb-up"], label="step height")
+axis.plot(d, [gap_width(v) for v in d], color=SKILL_COLOURS["leap"], label="gap width")
 axis.plot(d, [beam_width(v) for v in d], color=SKILL_COLOURS["beam"], label="beam width")
 axis.plot(d, [roughness(v) for v in d], color=SKILL_COLOURS["walk"], label="roughness of walk")
 axis.axhline(0.29, color="black", linewidth=0.8, linestyle=":", label="height of the Go1's hips")

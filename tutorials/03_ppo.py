@@ -17,7 +17,7 @@
 # (where many implementations are wrong), and how far one update may go (one line of torch).  Then the whole algorithm
 # learns a small task twice, once as it should and once with a bug that nobody notices (paper section 3.2.1).
 #
-# It takes about half a minute.  As a notebook it shows its figures below the cells; `python tutorials/03_ppo.py` writes
+# It takes about 20 seconds.  As a notebook it shows its figures below the cells; `python tutorials/03_ppo.py` writes
 # them into the folder `figures/` of the directory you start it from.
 
 # %%
@@ -35,7 +35,7 @@ STARTED = time.perf_counter()
 # %% [markdown]
 # ## 3.1 How much better than expected?
 #
-# The critic predicts V(s), the discounted reward from state s on.  One step later we know more:
+# The critic predicts $V(s)$, the discounted reward from state $s$ on.  One step later we know more:
 #
 # $$\delta_t = r_t + \gamma V(s_{t+1}) - V(s_t) \quad \text{(surprise of one step)}, \qquad
 # A_t = \delta_t + \gamma \lambda A_{t+1} \quad \text{(surprises that follow count too)}$$
@@ -72,7 +72,7 @@ assert np.allclose(running[:, 0], [4.93872, 4.776, 3.3])
 # $$\delta_1 = 2 + 0.9 \cdot 6 - 5 = 2.4, \qquad A_1 = 2.4, \qquad A_0 = 1.5 + 0.72 \cdot 2.4 = 3.228$$
 #
 # A trap: after an automatic reset the next observation in the buffer is the *new* episode's
-# first.  V(s_t+1) has to come from the true last observation, `info["final_obs"]`.
+# first.  $V(s_{t+1})$ has to come from the true last observation, `info["final_obs"]`.
 
 # %%
 fell = gae(rewards, values, next_values, at_1, no, 0.9, 0.8)
@@ -105,8 +105,8 @@ for lam in (0.0, 1.0):
 # ## 3.2 One way to be wrong: bootstrapping on death
 #
 # Suppose someone merges the two flags and treats every end as a time-out.  Nothing crashes.
-# Take the smallest world that shows what happens: one state, reward 1 a step, and at every step
-# the robot dies with probability p.  Then
+# Take the smallest world that shows what happens: one state, reward 1 per step, and at every step
+# the robot dies with probability $p$.  Then
 #
 # $$\text{truth: } V = 1 + \gamma (1 - p) V \;\Rightarrow\; V = \frac{1}{1 - \gamma (1 - p)}, \qquad
 # \text{with the bug: } V = 1 + \gamma V \;\Rightarrow\; V = \frac{1}{1 - \gamma}$$
@@ -152,7 +152,7 @@ axis.plot(wrong, color=ORANGE, label="bug: bootstraps on death")
 axis.axhline(true_value, color=BLUE, linewidth=0.8, linestyle="--")
 axis.axhline(buggy_value, color=ORANGE, linewidth=0.8, linestyle="--")
 axis.set(xlabel="update", ylabel="learned value [sum of discounted rewards]", ylim=(0, None))
-axis.set_title(f"one state, reward 1, death with probability {DEATH} a step", fontsize=10)
+axis.set_title(f"one state, reward 1, death with probability {DEATH} per step", fontsize=10)
 axis.legend(fontsize=8, loc="center right")
 axis.grid(alpha=0.3)
 show(figure, "03_bootstrap_bug")
@@ -160,15 +160,15 @@ show(figure, "03_bootstrap_bug")
 # %% [markdown]
 # ## 3.3 How far may one update go?
 #
-# PPO raises the probability of actions with A > 0 and lowers it for A < 0, but stops
-# caring once the ratio r = pi(a|s) / pi_old(a|s) has moved by eps:
+# PPO raises the probability of actions with $A > 0$ and lowers it for $A < 0$, but stops
+# caring once the ratio $r = \pi(a|s) / \pi_\text{old}(a|s)$ has moved by $\epsilon$:
 #
 # $$L = -\,\mathbb{E}\bigl[\min\bigl(r A,\; \operatorname{clip}(r, 1 - \epsilon, 1 + \epsilon)\, A\bigr)\bigr]$$
 #
-# *What you should see:* for A = +1 the objective (minus the loss) grows with r and is flat beyond
-# 1 + eps: no more gain from going further.  For A = -1 it is flat below 1 - eps, but **not**
+# *What you should see:* for $A = +1$ the objective (minus the loss) grows with $r$ and is flat beyond
+# $1 + \epsilon$: no more gain from going further.  For $A = -1$ it is flat below $1 - \epsilon$, but **not**
 # flat above 1: a bad action that has become likelier is always corrected.  The dashed gradient
-# is r A, the objective itself, until it drops to zero.
+# is $r A$, the objective itself, until it drops to zero.
 
 # %%
 EPS = 0.2
@@ -310,8 +310,8 @@ print(f"time: {time.perf_counter() - STARTED:.0f} s")
 # %% [markdown]
 # <details><summary>Answer, and the surprise</summary>
 #
-# The learner with the bug believes that the world ends at the goal.  Behind it is nothing, before it 0.2 a second for being
-# alive.  So it runs, because running pays, gets slower and slower, and waits in front of the goal until the clock runs out.
+# The learner with the bug believes that the world ends at the goal.  Behind it is nothing, before it 0.2 per second for
+# being alive.  So it runs, because running pays, gets slower and slower, and waits in front of the goal until the clock runs out.
 # It arrives only when exploration pushes it over the line.  It is an excellent solution of the wrong problem.
 #
 # The surprise is the left picture: **its return is the higher one**.  A runner that arrives stops collecting, so by the

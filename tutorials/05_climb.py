@@ -28,7 +28,7 @@ from agility_ref.evaluate import EvaluationConfig, evaluate
 from agility_ref.files import read_npz
 from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOTS
 from agility_ref.pictures.pictures import strobe
-from agility_ref.pictures.plots import BLUE, GREEN, GREY, ORANGE, new_figure, show
+from agility_ref.pictures.plots import BLUE, GREEN, GREY, ORANGE, SKILL_COLOURS, new_figure, show
 from agility_ref.pictures.record import record
 from agility_ref.policy import Policy
 from agility_ref.ppo import Learner, train
@@ -50,8 +50,8 @@ settings = EvaluationConfig(episodes=24, preset="quick")
 # %% [markdown]
 # ## 5.1 What comes next?
 #
-# Ten levels of difficulty lie between a step of 3 cm and the hardest of the preset.  The *frontier* $\ell$ is the level that
-# the robots work at; all share it.  Every episode that was played on it moves a *score* $q$ towards the fraction $f$ of its
+# Ten levels of difficulty lie between a step of 3 cm and the hardest of the preset.  The *frontier* $\ell$ is the level at
+# which the robots work; all of them share it.  Every episode that was played on it moves a *score* $q$ towards the fraction $f$ of its
 # waypoints:
 #
 # $$q \leftarrow q + 0.04\,(f - q), \qquad q \ge 0.75:\; \ell \leftarrow \ell + 1, \qquad q < 0.25:\; \ell \leftarrow \ell - 1$$
@@ -80,8 +80,8 @@ print(f"the invented robot comes to rest at level {frontier[-1]}, with a score o
 #
 # Level 2.  There it reaches $0.93 - 0.2 = 0.73$, not enough to be promoted; on level 1 it reached 0.83, so the score had to cross
 # 0.75 sooner or later.  A frontier comes to rest where the robot succeeds **most of the time but not always**, and that is
-# the level with most to learn from: who always succeeds sees no difference between good and better actions, and who always
-# fails sees none either.
+# the level with most to learn from: a robot that always succeeds sees no difference between good and better actions, and one
+# that always fails sees none either.
 #
 # </details>
 
@@ -160,7 +160,7 @@ show(figure, "05_learning_curve")
 #
 # The same courses as before training, which were never seen in training, with the mean action and without exploration.
 #
-# *What you should see:* every dot is a course; grey before, blue after.
+# *What you should see:* every dot is one course; grey before, dark after.
 
 # %%
 climb = Single("climb", Policy.from_arrays(policy_arrays(learner), {"policy": "climb"}))
@@ -174,18 +174,23 @@ print(f"after minus before, the same 24 courses: {mean:+.2f} [{low:+.2f}, {high:
 figure, axes = new_figure(1, 1, (7.0, 3.6))
 axis = axes[0, 0]
 heights = [100 * step_height(d) for d in before.difficulty]
-axis.scatter(heights, before.waypoint_fraction, color=GREY, label="before (walk)")
-axis.scatter(heights, after.waypoint_fraction, color=BLUE, label="after", alpha=0.8)
+axis.scatter(heights, before.waypoint_fraction, color=SKILL_COLOURS["walk"], label="before (walk)")
+axis.scatter(heights, after.waypoint_fraction, color=SKILL_COLOURS["climb"], label="after (climb)", alpha=0.8)
 axis.set(xlabel="height of a step [cm]", ylabel="waypoint fraction [-]", ylim=(-0.03, 1.06))
 axis.legend(fontsize=9)
 axis.grid(alpha=0.3)
 show(figure, "05_before_and_after")
 
 # %% [markdown]
-# And one episode from the side, the robot drawn to scale every 0.7 s.
+# And one episode from the side, with the robot drawn to scale every 0.7 s.  Of the courses that it finished above we take the
+# one in the middle, sorted by difficulty, and play it without noise and pushes.
 
 # %%
-(episode,) = record(climb, "climb", EvaluationConfig(preset="quick", difficulty=0.3, clean=True))
+finished = (after.waypoint_fraction == 1.0).sum()
+ranking = np.lexsort((after.difficulty, after.waypoint_fraction))  # what it finished comes last, the hardest at the end
+course = ranking[-1 - finished // 2]
+(episode,) = record(climb, "climb", EvaluationConfig(preset="quick", clean=True), courses=(course,))
+print(f"it finished {finished} of {len(ranking)}; number {course}, steps of {heights[course]:.0f} cm, without noise:")
 print(episode.summary())
 show(strobe(episode), "05_strobe")
 print(f"time: {time.perf_counter() - STARTED:.0f} s")

@@ -73,9 +73,9 @@ show(figure, "06_specialists")
 # %% [markdown]
 # <details><summary>Answer</summary>
 #
-# `climb-up` climbs to the top of `climb` and then meets its first step down, which it has never seen: about half of the
-# course.  `climb-down` does not get up the first step.  On `climb-gap` nobody is at home: the best of them does the part of
-# the course that looks like its own.
+# `climb-up` climbs to the top of `climb`, which is half of the course, and there meets its first step down, which it has never
+# practised.  `climb-down` meets its first step up at the start.  On `climb-gap` nobody is at home: the best of them does the
+# part of the course that looks like its own.
 #
 # </details>
 
@@ -132,7 +132,7 @@ classifier = fit(seen, wanted)
 cloned = selector_hierarchy("cloned", skills, classifier)
 
 # %% [markdown]
-# Somebody who always says `walk` is already right in the first of those shares.  So look at the accuracy on courses that
+# A chooser that always says `walk` is already right as often as the first of those shares says.  So look at the accuracy on courses that
 # training has not seen, and on **two** kinds of states: those that the oracle visits, and those into which the classifier
 # brings the robots itself.
 #

@@ -14,8 +14,8 @@
 # # 7. One network for everything: the paper's question
 #
 # Breadth or depth: should a robot learn one policy for all terrains, or a bank of specialists and a choice among them?  This
-# tutorial lets both play, asks why one network has a hard time with five tasks, and then teaches one in a minute what the
-# bank can do (paper sections 4 and 5).
+# tutorial lets both play, asks why one network has a hard time with five tasks, and then sees how far one gets that is taught
+# for a minute what the bank does (paper sections 4 and 5).
 #
 # It takes about a minute.  As a notebook it shows its figures below the cells; `python tutorials/07_one_network.py` writes
 # them into the folder `figures/` of the directory you start it from.
@@ -25,7 +25,7 @@ import time
 from dataclasses import replace
 
 from agility_ref.evaluate import EvaluationConfig, evaluate
-from agility_ref.pictures.plots import BLUE, GREEN, ORANGE, RED, new_figure, show
+from agility_ref.pictures.plots import BLUE, GREEN, ORANGE, SKILL_COLOURS, new_figure, show
 from agility_ref.policy import Policy
 from agility_ref.ppo import normalize_advantages
 from agility_ref.selector import Single, oracle_hierarchy
@@ -134,7 +134,7 @@ scalings = {
 figure, axes = new_figure(1, 3, (11.0, 3.0))
 for axis, (label, values) in zip(axes[0], scalings.items(), strict=True):
     spread = [values[kinds == kind].std() for kind in (0, 1)]
-    for kind, name, colour in ((0, "walk", BLUE), (1, "gap", RED)):
+    for kind, name, colour in ((0, "walk", SKILL_COLOURS["walk"]), (1, "gap", SKILL_COLOURS["leap"])):
         axis.hist(values[kinds == kind], bins=np.linspace(-4, 4, 81), color=colour, alpha=0.6, label=name)
     axis.set(title=label, xlabel="advantage [-]", yticks=[])
     print(f"{label:17} walk scatters by {spread[0]:.2f}, gap by {spread[1]:.2f}")
@@ -144,8 +144,8 @@ show(figure, "07_advantages")
 # %% [markdown]
 # <details><summary>Answer</summary>
 #
-# By 1.4 and 0.14: scaling everything by one number leaves the ratio of ten to one as it was, and the gradient with it.  The
-# network learns to walk still better, and what little the robots before the gap have to say is drowned.  Scaled **within each
+# By 1.4 and 0.14: scaling everything by one number leaves the ratio of ten to one as it was.  The gradient comes nearly all from
+# the robots that walk: the network learns to walk still better, and what the robots before the gap have found out is drowned.  Scaled **within each
 # kind of course**, every task has the same weight.  `normalize_advantages` in `ppo.py` does that; for a specialist, with its
 # one kind, it is the usual scaling.
 #
@@ -168,6 +168,7 @@ show(figure, "07_advantages")
 
 # %%
 STATES = 25_000
+fitting = replace(config.distill, epochs=32)  # few states, so many passes over them
 spec = find_policy("distilled")
 training = replace(config, ppo=replace(config.ppo, num_envs=64), curriculum=replace(config.curriculum, enabled=False))
 robots, _ = make_env(spec, training)
@@ -175,7 +176,7 @@ actor, data, students = oracle, [], {}
 for label in ("the bank's states", "and its own"):
     data.append(collect_actions(robots, actor, oracle, STATES, config.distill.action_noise))
     observations, wanted = (np.concatenate(part) for part in zip(*data, strict=True))
-    arrays, losses = fit_student(observations, wanted, config.ppo.hidden, config.distill, seed=0)
+    arrays, losses = fit_student(observations, wanted, config.ppo.hidden, fitting, seed=0)
     actor = Single("student", Policy.from_arrays(arrays, {"policy": "student"}))
     students[label] = evaluate(actor, "climb-gap", settings).waypoint_fraction
     print(f"{label:18} {len(wanted)} states, squared error {losses[-1]:.3f}, waypoints {students[label].mean():.2f}")
@@ -199,12 +200,12 @@ print(f"time: {time.perf_counter() - STARTED:.0f} s")
 # %% [markdown]
 # <details><summary>How to read it, and a surprise</summary>
 #
-# If a student of GEN-5's size does what the bank does, the size of the network was not what held GEN-5 back.  Look at
-# `distilled` in 7.2, which saw forty times as many states as the student here, before you decide.  What makes this surprising
+# If a student of GEN-5's size does what the bank does, the size of the network was not what held GEN-5 back.  Before you
+# decide, look at `distilled` in 7.2 as well: it saw forty times as many states as the first student here.  What makes this surprising
 # is where the effort goes: millions of steps to find five skills, and minutes to move them into one network.  **Finding a skill
 # is expensive, holding it is cheap.**  So "one network or five?" and "one training or five?" are two questions, and the paper's
-# comparison of generalists with specialists asks both at once.  Its section 5 hopes for this "post-generalist"; it needs
-# the bank first, though, and whoever compares its steps must count the bank's as well.
+# comparison of generalists with specialists asks both at once.  Its section 5 hopes for this "post-generalist"; but it needs
+# the bank first, so whoever compares its steps must count the bank's as well.
 #
 # </details>
 #

@@ -72,7 +72,7 @@ left.scatter(d, x, color=ORANGE)
 left.set(
     xlabel="difficulty d of the course [-]",
     ylabel="waypoint fraction [-]",
-    title="gen-5 on climb-gap, one dot an episode",
+    title="gen-5 on climb-gap, one dot per episode",
 )
 for row, episodes in enumerate((8, 16, 32)):
     part = x[:episodes]
@@ -258,7 +258,7 @@ for _ in range(20):  # twenty invented tables
     )
     found["Student"].append(sum(not covers(t_interval(x), 0.0) for x in differences))
 for name, numbers in found.items():
-    print(f"{name:9}: {np.mean(numbers):.1f} findings a table on average, where there is nothing to find")
+    print(f"{name:9}: {np.mean(numbers):.1f} findings per table on average, where there is nothing to find")
 
 # %% [markdown]
 # <details><summary>Answer</summary>

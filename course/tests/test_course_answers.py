@@ -22,8 +22,8 @@ WRONG = [
 ]
 
 
-def graded(name, folder, seeds=SEEDS, only=""):
-    options = argparse.Namespace(seeds=seeds, seconds=900, memory=8, no_training=True, only=only)
+def graded(name, folder, seeds=SEEDS, only="", training=False):
+    options = argparse.Namespace(seeds=seeds, seconds=900, memory=8, no_training=not training, only=only)
     return grade.grade(find(name), "student", folder, options)[0]
 
 
@@ -43,6 +43,13 @@ def test_model_solution_scores_everything_within_a_minute(name, tmp_path):
     assert not found.note and found.score == sum(found.worth.values()), found.messages
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 60  # [s] of processor time
+
+
+@pytest.mark.slow
+def test_model_solution_of_hw3_walks(tmp_path):
+    release(find("hw3"), tmp_path / "solution", solution=True)
+    found = graded("hw3", tmp_path / "solution", only="test_training_walks", training=True)
+    assert not found.note and found.score == 20, found.messages
 
 
 @pytest.mark.parametrize(("name", "mutant"), WRONG)

@@ -50,8 +50,11 @@ def test_what_cannot_be_run_is_named_and_never_executed(tmp_path):
         archive.writestr("hw6/adapters.py", "ASSIGNMENT = 'hw6'\n")
         archive.writestr("../../out.py", "1\n")
     (folder / "torn.zip").write_bytes(b"PK\x03\x04 and nothing more")
+    submission(folder / "good")
     found = grade(tmp_path)
+    assert found.pop("good")["score"] == "100.0"
     notes = {student: row["note"] for student, row in found.items()}
+    assert len(notes) == 8 and not any("\n" in note for note in notes.values())
     assert {float(row["score"]) for row in found.values()} == {0.0}
     assert notes["empty"] == "the submission is empty"
     assert "claims.py line" in notes["syntax"] and "invalid syntax" in notes["syntax"]

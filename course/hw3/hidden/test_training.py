@@ -16,5 +16,5 @@ with (Path(__file__).parent / "training.csv").open(newline="") as file:
 def test_training_walks():
     _, _, speed = train(int(TABLE["steps"]), seed=0)
     assert speed >= TABLE["speed"], (
-        f"after {TABLE['steps']:.0f} steps the robots go ahead with {speed:.3f} m/s, asked are {TABLE['speed']:g} m/s"
+        f"after {TABLE['steps']:.0f} steps the robots go ahead with {speed:.3f} m/s; at least {TABLE['speed']:g} m/s is needed"
     )

@@ -12,7 +12,7 @@ NAN = np.nan
 def advantages(rewards, values, final_values, ends, lam=0.5):
     rewards, values = np.array(rewards, float), np.array(values, float)
     got = adapters.gae(rewards, values, np.array(final_values, float), np.array(ends), 0.5, lam)
-    assert np.shape(got) == (2, *rewards.shape), "gae returns advantages and targets, both (N, T): one row a robot"
+    assert np.shape(got) == (2, *rewards.shape), "gae returns advantages and targets, both (N, T): one row per robot"
     assert np.allclose(got[1] - got[0], values[:, :-1], equal_nan=True), (
         "a target is the advantage plus the value of the state"
     )

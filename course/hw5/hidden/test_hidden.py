@@ -111,7 +111,7 @@ def test_held_out_accuracy(seed):
     runners = Runners(64, seed, courses=15)
     selector = adapters.Selector().fit(*adapters.collect(runners, 80, None, np.random.default_rng(seed)), seed)
     got = mean_recall(selector, Runners(64, seed + 1, courses=12), 80, np.random.default_rng(seed), None)
-    assert got >= HELD_OUT, f"on courses never seen the mean recall is {got:.2f}, asked are {HELD_OUT}"
+    assert got >= HELD_OUT, f"on courses never seen the mean recall is {got:.2f}; at least {HELD_OUT} is needed"
 
 
 def test_dagger_collects_where_the_learner_goes(seed, monkeypatch):
@@ -140,5 +140,5 @@ def test_dagger_helps(seed):
     new = Runners(64, seed + 1, courses=12)
     got = mean_recall(selector, new, 80, np.random.default_rng(seed), selector)
     assert got >= OWN_STATES, (
-        f"where it goes itself, on new courses, its mean recall is {got:.2f}, asked are {OWN_STATES}"
+        f"where it goes itself, on new courses, its mean recall is {got:.2f}; at least {OWN_STATES} is needed"
     )

@@ -1,6 +1,6 @@
 """Proximal policy optimisation in five pieces.
 
-Arrays of a rollout are **(N, T): one row a robot**, one column a step.
+Arrays of a rollout are **(N, T): one row per robot**, one column per step.
 """
 
 from dataclasses import dataclass
@@ -146,7 +146,7 @@ def update(
 
     The advantages are shifted and scaled, **over the whole batch**, to mean 0 and standard deviation 1 (add 1e-8 to
     the divisor).  In each of ``epochs`` passes the samples are shuffled and split into ``minibatches`` parts, so that
-    each is used once a pass.  For each part: the loss
+    each is used once per pass.  For each part: the loss
 
         -surrogate - entropy * policy.entropy() + mean((V - target)^2) / 2
 

@@ -1,6 +1,6 @@
 """From the scores of a table to what may be said about them.
 
-Scores are arrays (E, S): one **row an episode**, one **column a training seed**.  All seeds play the
+Scores are arrays (E, S): one **row per episode**, one **column per training seed**.  All seeds play the
 same episodes.  Every random number comes from the ``rng`` that a function is given.
 """
 
