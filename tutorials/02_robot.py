@@ -33,14 +33,12 @@ from agility_ref.go1 import (
     make_model,
 )
 from agility_ref.observation import OBS_DIM, OBSERVATION, observation_slices
-from agility_ref.pictures.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, new_figure, show
+from agility_ref.pictures.plots import BLUE, GREY, LEG_COLOURS, PURPLE, RED, new_figure, show
 from agility_ref.terrain import make_course
 from agility_ref.world import World
 
 import mujoco
 import numpy as np
-
-LEG_COLOURS = dict(zip(LEGS, (BLUE, ORANGE, GREEN, RED), strict=True))
 
 # %% [markdown]
 # ## 2.1 The model
