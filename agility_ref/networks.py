@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import nn
 from torch.distributions import Categorical, Distribution, Independent, Normal
+from tqdm import tqdm
 
 SQRT_HALF = 0.5**0.5
 
@@ -234,7 +235,7 @@ def fit(
     """
     optimizer = torch.optim.Adam(parameters, learning_rate, fused=True)
     losses, done, total = [], 0, epochs * -(-num_states // batch_size)
-    for _ in range(epochs):
+    for _ in tqdm(range(epochs), desc="fit", unit="epoch", leave=False, delay=3, disable=None):
         summed = 0.0
         for mb in torch.randperm(num_states, generator=generator).split(batch_size):
             if anneal:

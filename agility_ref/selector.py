@@ -17,6 +17,7 @@ from agility_ref.policy import Policy
 from agility_ref.terrain import SKILLS
 
 import numpy as np
+from tqdm import tqdm
 
 Chooser = Callable[[np.ndarray, Go1Env], np.ndarray]
 """(observation (N, 184), env) -> skill index (N,)."""
@@ -121,7 +122,8 @@ class SupervisedConfig:
 def visit(env: Go1Env, actor: Hierarchy | Single, num_states: int, action_noise: float = 0.0) -> Iterator[np.ndarray]:
     """Run ``actor`` from new episodes on; yield the observation (N, 184) before each step, for at least ``num_states``."""
     observation, _ = env.reset()
-    for _ in range(-(-num_states // env.num_envs)):
+    steps = range(-(-num_states // env.num_envs))
+    for _ in tqdm(steps, desc=f"{actor.name} acts", unit="step", leave=False, delay=3, disable=None):
         yield observation
         action, _ = actor.act(observation, env)
         if action_noise:
