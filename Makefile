@@ -1,4 +1,4 @@
-# make table1 | test | lint | notebooks | docs | clean | help
+# make watch | table1 | test | lint | notebooks | docs | clean | help
 # Everything is installed into .venv, once; the stamp files there say what has been done.
 
 PYTHON ?= python3
@@ -15,10 +15,13 @@ export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help table1 test lint notebooks docs clean
+.PHONY: help watch table1 test lint notebooks docs clean
 
 help:  ## print this list
 	@awk -F ':.*## ' '/^[a-z0-9]+:.*## / {printf "  make %-9s %s\n", $$1, $$2}' Makefile
+
+watch: $(VENV)/.installed-viewer  ## let a robot climb in the browser
+	$(BIN)/agility-ref watch climb
 
 table1: $(VENV)/.installed  ## evaluate the shipped policies and print Table 1 beside the paper's
 	$(BIN)/$(TABLE1)

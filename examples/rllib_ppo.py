@@ -67,7 +67,10 @@ def main(config: Config) -> float:
             train_batch_size_per_learner=config.batch_size, minibatch_size=config.batch_size // 4, num_epochs=4,
             lr=3e-4, gamma=0.99, lambda_=0.95, clip_param=0.2, entropy_coeff=0.005, vf_loss_coeff=0.5, grad_clip=1.0,
         )
-        .rl_module(model_config=DefaultModelConfig(fcnet_hiddens=[256, 128], fcnet_activation="elu"))
+        .rl_module(
+            # RLlib's PPO has separate networks by default, its DefaultModelConfig shared ones
+            model_config=DefaultModelConfig(fcnet_hiddens=[256, 128], fcnet_activation="elu", vf_share_layers=False)
+        )
         .callbacks(on_episode_end=note)
         .debugging(seed=config.seed, log_level="ERROR")
         .build_algo()

@@ -86,6 +86,14 @@ def test_every_extra_has_its_line():
     assert set(setup["options.extras_require"]) <= set(re.findall(r"^\| `(\w+)` \|", table, re.M))
 
 
+def test_the_core_brings_in_six_packages():
+    setup = configparser.ConfigParser()
+    setup.read(ROOT / "setup.cfg")
+    required = re.findall(r"^[\w-]+", setup["options"]["install_requires"], re.M)
+    page = (ROOT / "docs" / "installation.md").read_text()
+    assert len(required) == 6 and f"brings in six others: {', '.join(required[:-1])} and {required[-1]}." in page
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_names_of_the_package_that_the_pages_quote_exist(page):
     for name in re.findall(r"`(agility_ref\.[\w.]+)`", (ROOT / page).read_text()):

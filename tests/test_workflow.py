@@ -1,10 +1,12 @@
 """The workflow on the local executor with tiny budgets; its graph for Slurm as a dry run."""
 
+import importlib
 import json
 import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from agility_ref.policy import Policy
@@ -91,6 +93,20 @@ def test_slurm_would_run_the_whole_table(tmp_path):
     trained = [name for name, spec in POLICIES.items() if spec.method != "oracle" and name != "post-gen"]
     cells = {(e, "ps-rl-3-oracle" if name == "ps-rl-3" else name) for e, name in table_lines() if name != "post-gen"}
     assert jobs == dict.fromkeys(trained, 3) | {"cell": 3 * len(cells), "table": 1, "table1": 1}
+
+
+def test_costs_at_a_given_speed(monkeypatch):
+    monkeypatch.syspath_prepend(str(WORKFLOW))
+    costs = importlib.import_module("costs")
+    monkeypatch.setitem(POLICIES, "walk", replace(POLICIES["walk"], budget=(1_200_000, 0)))
+    monkeypatch.setitem(POLICIES, "leap", replace(POLICIES["leap"], budget=(4_800_000, 0)))
+    minutes = costs.training_minutes("quick", speed=2000.0)
+    assert minutes["walk"] == pytest.approx(10.0)  # 1.2 M / (60 * 2000)
+    assert minutes["leap"] == pytest.approx(30.0)  # (4.8 M - 1.2 M of walk) / (60 * 2000)
+    assert not {"oracle", "post-gen"} & set(minutes)
+    # a 10 min, then b 30 min and c 20 min: one core takes 60, two wait for a and then for b
+    jobs = {("a",): (10.0, ()), ("b",): (30.0, (("a",),)), ("c",): (20.0, (("a",),))}
+    assert (costs.schedule(jobs, 1), costs.schedule(jobs, 2)) == (60.0, 40.0)
 
 
 def test_unknown_policy_is_named(tmp_path):

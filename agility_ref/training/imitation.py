@@ -29,6 +29,7 @@ from agility_ref.selector import Hierarchy, Single
 import numpy as np
 import torch
 from torch import nn
+from tqdm import tqdm
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,8 @@ class FineTuneConfig:
 def visit(env: Go1Env, actor: Hierarchy | Single, num_states: int, action_noise: float = 0.0) -> Iterator[np.ndarray]:
     """Run ``actor`` from new episodes on; yield the observation (N, 184) before each step, for at least ``num_states``."""
     observation, _ = env.reset()
-    for _ in range(-(-num_states // env.num_envs)):
+    steps = range(-(-num_states // env.num_envs))
+    for _ in tqdm(steps, desc=f"{actor.name} acts", unit="step", leave=False, delay=3, disable=None):
         yield observation
         action, _ = actor.act(observation, env)
         if action_noise:
@@ -191,7 +193,7 @@ def fit(
     """
     optimizer = torch.optim.Adam(parameters, learning_rate, fused=True)
     losses, done, total = [], 0, epochs * -(-num_states // batch_size)
-    for _ in range(epochs):
+    for _ in tqdm(range(epochs), desc="fit", unit="epoch", leave=False, delay=3, disable=None):
         summed = 0.0
         for mb in torch.randperm(num_states, generator=generator).split(batch_size):
             if anneal:

@@ -119,8 +119,8 @@ class ProgressLog:
             desc=name,
             unit="step",
             unit_scale=True,
-            disable=quiet or sys.stderr is None,
-            mininterval=0.5 if sys.stderr and sys.stderr.isatty() else 30.0,
+            disable=True if quiet or sys.stderr is None else None,  # None: where it is no terminal
+            mininterval=0.5,
         )
 
     def add(self, record: dict, wall_seconds: float, level: float, levels: dict[str, float]) -> None:

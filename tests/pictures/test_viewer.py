@@ -1,13 +1,7 @@
-import asyncio
-import base64
-import io
-import json
 import os
-import shutil
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 import urllib.request
@@ -121,7 +115,7 @@ def test_mp4_plays_and_carries_its_command(film):
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     command = "oracle --environment gap --seconds 0.5 --fps 10 --width 161 --height 121 --out new/x.mp4"
     root, done = film(command)
-    assert done.returncode == 0 and done.stderr == "", done.stderr
+    assert done.returncode == 0 and all(line.startswith("weights ") for line in done.stderr.splitlines()), done.stderr
     reader = ffmpeg.read_frames(str(root / "new" / "x.mp4"))
     about = next(reader)
     pictures = [np.frombuffer(frame, np.uint8).reshape(120, 160, 3).astype(int) for frame in reader]
@@ -130,6 +124,16 @@ def test_mp4_plays_and_carries_its_command(film):
     assert pictures[0].std() > 20  # not blank
     assert np.abs(pictures[-1] - pictures[0]).max() > 50
     assert f"agility-ref video {command}".encode() in (root / "new" / "x.mp4").read_bytes()
+
+
+@pytest.mark.slow
+def test_a_film_of_a_whole_episode_is_at_most_2_mb(film):
+    """With the shipped weights, and every flag at its default: 640 x 480 pixels, about 12 s."""
+    root, done = film("climb --out whole.webp")
+    assert done.returncode == 0, done.stderr
+    with Image.open(root / "whole.webp") as image:
+        assert image.size == (640, 480) and image.n_frames > 100
+    assert (root / "whole.webp").stat().st_size <= 2e6
 
 
 def test_without_ffmpeg_one_line_says_what_to_install(monkeypatch, tmp_path):
@@ -354,55 +358,6 @@ def test_every_geom_has_a_mesh(episode):
     for geom in np.flatnonzero(model.geom_bodyid > 0):
         mesh = geom_mesh(model, geom)
         assert np.allclose(mesh.bounds.mean(axis=0), model.geom_pos[geom], atol=1e-3)
-
-
-def find_chromium() -> str | None:
-    return shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-
-
-@pytest.mark.slow
-def test_a_real_browser_draws_the_page(page):
-    """Open the live page in headless Chromium: two screenshots are neither blank nor equal."""
-    websockets = pytest.importorskip("websockets", reason="websockets comes with viser, which is not installed")
-    browser = find_chromium()
-    if browser is None:
-        pytest.skip("no chromium; on Debian: apt install chromium")
-    port = free_port()
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        options = [
-            "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-            "--ignore-gpu-blocklist", "--window-size=800,600", f"--remote-debugging-port={port}",
-            f"--user-data-dir={profile}", f"http://127.0.0.1:{page}/",
-        ]  # fmt: skip
-        process = subprocess.Popen([browser, *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        try:
-            images = asyncio.run(screenshots(websockets, port, waits=(15.0, 2.0)))
-        finally:
-            process.terminate()
-            process.wait(10)
-    view = [image[150:, :380].astype(int) for image in images]  # left of the controls, below the browser's notice
-    assert view[0].std() > 10, "the canvas is blank"
-    assert np.abs(view[1] - view[0]).max() > 40, "nothing moves"
-
-
-async def screenshots(websockets, port: int, waits: tuple[float, ...]) -> list[np.ndarray]:
-    for _ in range(60):
-        try:
-            with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=2) as answer:
-                pages = [tab for tab in json.load(answer) if tab["type"] == "page"]
-            break
-        except OSError:
-            await asyncio.sleep(0.5)
-    images = []
-    async with websockets.connect(pages[0]["webSocketDebuggerUrl"], max_size=None) as link:
-        for k, wait in enumerate(waits):
-            await asyncio.sleep(wait)
-            await link.send(json.dumps({"id": k, "method": "Page.captureScreenshot"}))
-            while (message := json.loads(await link.recv())).get("id") != k:
-                pass
-            png = base64.b64decode(message["result"]["data"])
-            images.append(np.asarray(Image.open(io.BytesIO(png)).convert("RGB")))
-    return images
 
 
 @pytest.mark.parametrize("quality", [0, 101, -5])

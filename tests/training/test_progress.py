@@ -1,3 +1,5 @@
+import io
+
 from agility_ref.errors import UserError
 from agility_ref.training.progress import EPISODE, PROGRESS, ProgressLog, attempt, read_progress
 
@@ -26,8 +28,9 @@ def test_the_bar_of_a_warm_start_begins_where_it_left_off(tmp_path):
     assert a_log(tmp_path, done=500).bar.n == 500
 
 
-def test_without_a_terminal_there_is_no_bar(tmp_path, monkeypatch):
-    monkeypatch.setattr("sys.stderr", None)
+@pytest.mark.parametrize("stream", [None, io.StringIO()])
+def test_without_a_terminal_there_is_no_bar(tmp_path, monkeypatch, stream):
+    monkeypatch.setattr("sys.stderr", stream)
     assert ProgressLog("walk", tmp_path, [], np.zeros((0, 4)), 0, 1000, quiet=False).bar.disable
 
 
