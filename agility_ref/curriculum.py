@@ -5,8 +5,6 @@ Parkour, robots move up to harder courses where they do well and down where they
 differs: there each robot has a level of its own, here all robots on a kind of course share one,
 which a hundred times as many episodes measure.
 
-A :class:`Preset` names the hardest course of a run, in training and in evaluation.
-
 In:  the waypoint fraction of the episodes that ended.
 Out: the index of each robot's next course in the :class:`~agility_ref.world.World`.
 """
@@ -19,28 +17,14 @@ from agility_ref.world import World
 
 import numpy as np
 
-
-@dataclass(frozen=True)
-class Preset:
-    """A scale at which the whole table can be trained."""
-
-    name: str
-    max_difficulty: float  # hardest difficulty in training, and the top of the range in evaluation
+PRESETS = {"quick": 0.4, "full": 1.0}  # scales of the whole table: the hardest difficulty, in training and evaluation
 
 
-PRESETS = {"quick": Preset("quick", 0.4), "full": Preset("full", 1.0)}
-
-
-def find_preset(name: str) -> Preset:
-    """Look a preset up.
-
-    Raises
-    ------
-    UserError : no such preset
-    """
-    if name not in PRESETS:
-        raise unknown_name("preset", name, PRESETS)
-    return PRESETS[name]
+def hardest(preset: str) -> float:
+    """Return the hardest difficulty of a preset; a UserError says that there is no such preset."""
+    if preset not in PRESETS:
+        raise unknown_name("preset", preset, PRESETS)
+    return PRESETS[preset]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
-from agility_ref.curriculum import find_preset
+from agility_ref.curriculum import hardest
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import MAX_SEED, UserError, require_at_least, unknown_name
 from agility_ref.selector import Hierarchy, Single
@@ -104,35 +104,6 @@ class Evaluation:
     oracle: np.ndarray | None  # (T, N) skill the oracle wanted, likewise
     dt: float = EnvConfig().dt  # control time step [s]
 
-    def summary(self) -> dict:
-        """Return mean and standard deviation of each metric, JSON-ready."""
-        metrics = {}
-        for name in METRICS:
-            mean, std = mean_std(getattr(self, name), name, self.config.protocol)
-            metrics[name] = {"mean": mean, "std": None if np.isnan(std) else std}  # one episode has none
-        return {
-            "policy": self.policy,
-            "environment": self.environment,
-            "preset": self.config.preset,
-            "protocol": self.config.protocol,
-            "seed": self.config.seed,
-            "episodes": len(self.reward),
-            "environment_steps": int(self.episode_length.sum()),
-            "falls": float(self.fell.mean()),
-            **metrics,
-        }
-
-
-def mean_std(values: np.ndarray, metric: str, protocol: str) -> tuple[float, float]:
-    """Mean and standard deviation as the protocol prints them.
-
-    The original divides the squares of reward and episode length by n - 1, those of
-    waypoints and edges by n; ``complete`` divides all by n.
-    """
-    ddof = int(protocol == "as-published" and metric in ("reward", "episode_length"))
-    std = float(values.std(ddof=ddof)) if len(values) > ddof else float("nan")
-    return float(values.mean()), std
-
 
 @lru_cache(maxsize=1)  # 2 MB a course, and a table goes through one terrain after another
 def evaluation_world(environment: str, config: EvaluationConfig) -> World:
@@ -155,7 +126,7 @@ def evaluation_courses(environment: str, config: EvaluationConfig) -> list[Cours
     """
     if environment not in COURSE_KINDS:
         raise unknown_name("environment", environment, COURSE_KINDS)
-    highest = find_preset(config.preset).max_difficulty
+    highest = hardest(config.preset)
     kind = COURSE_KINDS.index(environment)
     courses, first = [], 0.0
     for episode in range(config.episodes):

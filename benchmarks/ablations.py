@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
-from agility_ref.curriculum import find_preset
+from agility_ref.curriculum import hardest
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError, unknown_name
 from agility_ref.files import read_npz, write_csv, write_npz, write_text
@@ -268,7 +268,7 @@ def draw(found: dict):
 def main(config: Config) -> None:
     for name in config.policies:
         check_skill(name)
-    find_preset(config.preset)
+    hardest(config.preset)
     known = {a.name: a for a in ABLATIONS}
     for name in config.only:
         if name not in known:

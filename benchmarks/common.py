@@ -321,6 +321,6 @@ def walk_training(
 ) -> tuple[Go1Env, Curriculum]:
     """Build what ``agility-ref train walk --preset quick`` trains on."""
     levels = CurriculumConfig()
-    world = training_world(("walk",), levels, PRESETS["quick"].max_difficulty, seed)
+    world = training_world(("walk",), levels, PRESETS["quick"], seed)
     curriculum = Curriculum(1, num_envs, levels, seed)
     return Go1Env(world, num_envs, config, curriculum.next_course, seed, autoreset=autoreset), curriculum

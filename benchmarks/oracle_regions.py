@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from unittest.mock import patch
 
 from agility_ref import world
-from agility_ref.curriculum import CurriculumConfig, find_preset, training_world
+from agility_ref.curriculum import CurriculumConfig, hardest, training_world
 from agility_ref.env import Go1Env
 from agility_ref.pictures import record
 from agility_ref.selector import Hierarchy
@@ -59,7 +59,7 @@ class Config:
 def courses_for(skill: str, config: Config) -> world.World:
     """Build the training courses that need a skill."""
     layout = CurriculumConfig(num_levels=config.levels, variants=config.variants)
-    top = find_preset(config.preset).max_difficulty
+    top = hardest(config.preset)
     built = training_world(KINDS[skill], layout, top, config.seed)
     return world.World([course for course in built.courses if course.difficulty >= 0])
 

@@ -12,7 +12,7 @@ import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from agility_ref.curriculum import find_preset
+from agility_ref.curriculum import hardest
 from agility_ref.env import EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import Evaluation, EvaluationConfig, evaluate, evaluation_world
@@ -64,7 +64,7 @@ def load(config: Config) -> dict[tuple[str, int], Policy]:
     ------
     UserError : unknown preset, unreadable weights, or none at all
     """
-    find_preset(config.preset)
+    hardest(config.preset)
     found, missing = {}, None
     for name in config.policies:
         for seed in seeds_with_weights(name, TrainConfig(preset=config.preset, out=config.runs)):
@@ -82,7 +82,7 @@ def load(config: Config) -> dict[tuple[str, int], Policy]:
 
 def play(policies: dict[tuple[str, int], Policy], config: Config) -> dict[Key, Evaluation]:
     """Play everything; courses outermost, for their maps are built once and then shared."""
-    top = find_preset(config.preset).max_difficulty
+    top = hardest(config.preset)
     courses = dict.fromkeys(course for name, _ in policies for course in find_policy(name).courses)
     played = {}
     for course in courses:

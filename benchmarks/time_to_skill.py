@@ -11,7 +11,7 @@ threshold; the curves go into ``time-to-<policy>-<preset>.csv``, ``.png`` and ``
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from agility_ref.curriculum import find_preset
+from agility_ref.curriculum import hardest
 from agility_ref.errors import UserError
 from agility_ref.files import write_csv
 from agility_ref.pictures.plots import BLUE, GREY, save_figure, style
@@ -124,7 +124,7 @@ def write(config: Config, runs: list[dict], command: str) -> None:
 
 def main(config: Config) -> None:
     check_skill(config.policy)
-    find_preset(config.preset)
+    hardest(config.preset)
     if not config.thresholds or not config.seeds or config.every < 1:
         raise UserError("give at least one seed, one threshold and one step between evaluations")
     started = machine()

@@ -69,7 +69,8 @@ SCRIPTS = sorted(path.stem for path in Path(common.__file__).parent.glob("*.py")
 
 
 @pytest.mark.parametrize(
-    "name", [name for name in SCRIPTS if name not in ("common", "learning", "crash_test", "fuzz_files")]
+    "name",
+    [name for name in SCRIPTS if name not in ("common", "learning", "crash_test", "fuzz_commands", "fuzz_files")],
 )
 def test_every_script_has_settings_with_help(name, capsys, monkeypatch):
     script = importlib.import_module(name)  # without the optional packages that it may want to run

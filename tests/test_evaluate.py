@@ -12,12 +12,11 @@ from agility_ref.evaluate import (
     evaluate,
     evaluation_env,
     evaluation_world,
-    mean_std,
     reward_metric,
     waypoint_fraction,
 )
 from agility_ref.observation import observation_slices
-from agility_ref.results.published import evaluate_by_protocol
+from agility_ref.results.published import evaluate_by_protocol, mean_std, summary
 from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS
 from agility_ref.training.policies import ENVIRONMENTS
@@ -231,20 +230,20 @@ def test_reward_is_that_of_the_first_episode_only(make_policy):
 
 
 def test_summary_is_json_ready(single):
-    summary = evaluate(single, "gap", FEW, SHORT).summary()
-    back = json.loads(json.dumps(summary))
-    assert back == summary
+    figures = summary(evaluate(single, "gap", FEW, SHORT))
+    back = json.loads(json.dumps(figures))
+    assert back == figures
     assert set(METRICS) <= set(back)
     assert back["policy"] == "random" and back["environment"] == "gap" and back["episodes"] == 3
 
 
 def test_summary_is_mean_and_std(single):
     evaluation = evaluate(single, "gap", FEW, SHORT)
-    summary = evaluation.summary()
+    figures = summary(evaluation)
     for metric in METRICS:
         values = getattr(evaluation, metric)
-        assert summary[metric]["mean"] == pytest.approx(sum(values) / 3)
-        assert summary[metric]["std"] == pytest.approx((sum((values - sum(values) / 3) ** 2) / 3) ** 0.5)
+        assert figures[metric]["mean"] == pytest.approx(sum(values) / 3)
+        assert figures[metric]["std"] == pytest.approx((sum((values - sum(values) / 3) ** 2) / 3) ** 0.5)
 
 
 # --- as published ------------------------------------------------------------------------
@@ -260,7 +259,7 @@ def test_who_falls_early_counts_several_times(make_policy):
     d = evaluation_world("walk", PUBLISHED).difficulties
     np.testing.assert_array_equal(evaluation.difficulty, d[[0, 1, 2, 0]])
     assert evaluation.edge_violation.shape == (45 * 3,)
-    assert evaluation.summary()["episodes"] == 4 and evaluation.summary()["falls"] == 0.25
+    assert summary(evaluation)["episodes"] == 4 and summary(evaluation)["falls"] == 0.25
 
 
 def test_the_first_episodes_are_those_of_the_complete_protocol(single):
@@ -306,7 +305,7 @@ def test_edges_are_counted_step_by_step(make_policy, monkeypatch):
 
 def test_environment_steps_are_those_of_all_episodes(make_policy):
     e = evaluate(Single("random", make_policy()), "walk", FEW, SHORT)
-    assert e.summary()["environment_steps"] == 90
+    assert summary(e)["environment_steps"] == 90
 
 
 def test_the_seed_of_an_evaluation_decides_the_starts(make_policy, monkeypatch):

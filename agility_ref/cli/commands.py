@@ -122,7 +122,7 @@ def evaluate(options: Evaluate) -> None:
     """Evaluate one policy on one environment."""
     from agility_ref.evaluate import METRICS, evaluation_world
     from agility_ref.results.cells import acting_policies
-    from agility_ref.results.published import evaluate_by_protocol
+    from agility_ref.results.published import evaluate_by_protocol, summary
     from agility_ref.training.bank import load_policy, weights_path
 
     config = options.evaluation()
@@ -130,16 +130,16 @@ def evaluate(options: Evaluate) -> None:
     training = options.weights()
     policy = load_policy(options.policy, training)
     acting = {name: str(weights_path(name, training)) for name in acting_policies(options.policy)}
-    summary = evaluate_by_protocol(policy, options.environment, config).summary() | {"weights": acting}
+    figures = summary(evaluate_by_protocol(policy, options.environment, config)) | {"weights": acting}
     if options.json:
-        print(json.dumps(summary, allow_nan=False))
+        print(json.dumps(figures, allow_nan=False))
         return
-    played = f"{summary['episodes']} episodes, {summary['environment_steps']} steps"
+    played = f"{figures['episodes']} episodes, {figures['environment_steps']} steps"
     print(f"{options.policy} on {options.environment}: {played}")
     for metric in METRICS:
-        mean, std = summary[metric].values()
+        mean, std = figures[metric].values()
         print(f"  {metric:18} {mean:8.3f} ± {'-' if std is None else f'{std:.3f}'}")
-    print(f"  {'falls':18} {summary['falls']:8.3f}")
+    print(f"  {'falls':18} {figures['falls']:8.3f}")
     for path in acting.values():
         print(f"  weights {path}")
 

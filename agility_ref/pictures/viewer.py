@@ -17,7 +17,7 @@ import time
 import webbrowser
 from pathlib import Path
 
-from agility_ref.curriculum import find_preset
+from agility_ref.curriculum import hardest
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError, unknown_name
 from agility_ref.evaluate import EvaluationConfig
@@ -52,7 +52,7 @@ class Session:
     def __init__(self, policy: Single | Hierarchy, environment: str, config: EvaluationConfig):
         if environment not in COURSE_KINDS:
             raise unknown_name("environment", environment, COURSE_KINDS)
-        highest = find_preset(config.preset).max_difficulty
+        highest = hardest(config.preset)
         self.policy, self.environment, self.config = policy, environment, config
         self.difficulty = highest / 2 if config.difficulty is None else config.difficulty
         self.paused, self.number, self.last_ending = False, -1, ""
@@ -331,7 +331,7 @@ def has_display() -> bool:
 
 def press(session: Session, key: int) -> None:
     """Carry out what a key asks for."""
-    highest = find_preset(session.config.preset).max_difficulty
+    highest = hardest(session.config.preset)
     if key == SPACE:
         session.paused = not session.paused
     elif key == ord("N"):

@@ -7,7 +7,7 @@ Out: the four metrics, one number an ended episode.
 """
 
 from agility_ref.env import EnvConfig
-from agility_ref.evaluate import Evaluation, EvaluationConfig, evaluate, evaluation_env, rollout
+from agility_ref.evaluate import METRICS, Evaluation, EvaluationConfig, evaluate, evaluation_env, rollout
 from agility_ref.selector import Hierarchy, Single
 
 import numpy as np
@@ -36,7 +36,7 @@ def as_published(
       the memory of 1000 values keeps the **last steps of the run** alone (with 256 robots
       the last four), whatever episode they belong to;
     * of more than 1000 ended episodes the last 1000 count;
-    * the standard deviations of :func:`agility_ref.evaluate.mean_std`.
+    * the standard deviations of :func:`mean_std`.
 
     Not reproduced, because it lies in the task and not in the counting:
 
@@ -97,3 +97,33 @@ def evaluate_by_protocol(
         policy.name, environment, config, **measured,
         fell=r["terminated"][step, robot], difficulty=env.world.difficulties[robot], skill=None, oracle=None, dt=env.config.dt,
     )  # fmt: skip
+
+
+def summary(played: Evaluation) -> dict:
+    """Return mean and standard deviation of each metric, JSON-ready."""
+    metrics = {}
+    for name in METRICS:
+        mean, std = mean_std(getattr(played, name), name, played.config.protocol)
+        metrics[name] = {"mean": mean, "std": None if np.isnan(std) else std}  # one episode has none
+    return {
+        "policy": played.policy,
+        "environment": played.environment,
+        "preset": played.config.preset,
+        "protocol": played.config.protocol,
+        "seed": played.config.seed,
+        "episodes": len(played.reward),
+        "environment_steps": int(played.episode_length.sum()),
+        "falls": float(played.fell.mean()),
+        **metrics,
+    }
+
+
+def mean_std(values: np.ndarray, metric: str, protocol: str) -> tuple[float, float]:
+    """Mean and standard deviation as the protocol prints them.
+
+    The original divides the squares of reward and episode length by n - 1, those of
+    waypoints and edges by n; ``complete`` divides all by n.
+    """
+    ddof = int(protocol == "as-published" and metric in ("reward", "episode_length"))
+    std = float(values.std(ddof=ddof)) if len(values) > ddof else float("nan")
+    return float(values.mean()), std

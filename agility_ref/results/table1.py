@@ -20,9 +20,10 @@ from importlib import resources
 from pathlib import Path
 
 from agility_ref.errors import UserError
-from agility_ref.evaluate import METRICS, EvaluationConfig, evaluation_world, mean_std
+from agility_ref.evaluate import METRICS, EvaluationConfig, evaluation_world
 from agility_ref.files import write_csv, write_text
 from agility_ref.results.cells import Cell, Cells, acting_policies, enter, find_cell, seeds_of
+from agility_ref.results.published import mean_std
 from agility_ref.stats import bootstrap_interval, iqm, wilson_interval
 from agility_ref.training import weights
 from agility_ref.training.bank import WeightsConfig, run_folder

@@ -9,7 +9,7 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from agility_ref.curriculum import find_preset
+from agility_ref.curriculum import hardest
 from agility_ref.env import ACTION_DIM, TRAINING, EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.files import read_json, read_npz
@@ -79,7 +79,7 @@ def find_weights(policy: str, config: WeightsConfig) -> Path | None:
     UserError : unknown policy or preset, an unfinished run, one of another preset, or settings or shipped weights
         that are damaged
     """
-    find_preset(config.preset)
+    hardest(config.preset)
     own = run_folder(config.root, policy, config.seed)
     if unfinished(own):
         raise UserError(f"{own} holds a run that is not finished; finish it with: {_training_command(policy, config)}")

@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from agility_ref.curriculum import Curriculum, CurriculumConfig, find_preset, training_world
+from agility_ref.curriculum import Curriculum, CurriculumConfig, hardest, training_world
 from agility_ref.env import ACTION_DIM, Go1Env
 from agility_ref.errors import MAX_SEED, UserError, require_at_least
 from agility_ref.files import read_npz, remove_partials, write_csv, write_npz, write_text
@@ -107,7 +107,7 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False, draw: Draw
         numbers that are no longer finite
     """
     spec = find_policy(name)
-    find_preset(config.preset)
+    hardest(config.preset)
     if spec.method == "oracle":
         raise UserError(
             "the oracle needs no training: it reads the region map; train its skills: " + ", ".join(spec.skills)
@@ -180,7 +180,7 @@ def _write_config(spec: PolicySpec, config: TrainConfig, folder: Path) -> None:
 
 def make_env(spec: PolicySpec, config: TrainConfig) -> tuple[Go1Env, Curriculum]:
     """Build the training courses and the robots on them; the seeds of courses never meet those of evaluation."""
-    top = find_preset(config.preset).max_difficulty
+    top = hardest(config.preset)
     world = training_world(spec.courses, config.curriculum, top, config.seed)
     curriculum = Curriculum(len(spec.courses), config.ppo.num_envs, config.curriculum, config.seed)
     env = Go1Env(world, config.ppo.num_envs, config.env, curriculum.next_course, config.seed)

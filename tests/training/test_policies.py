@@ -1,4 +1,4 @@
-from agility_ref.curriculum import PRESETS, find_preset
+from agility_ref.curriculum import PRESETS, hardest
 from agility_ref.errors import UserError
 from agility_ref.terrain import COURSE_KINDS
 from agility_ref.training.policies import ALIASES, ENVIRONMENTS, POLICIES, TABLE_ROWS, find_policy, requirements
@@ -80,6 +80,6 @@ def test_a_name_like_nothing_lists_all():
 
 
 def test_unknown_preset():
-    assert find_preset("quick").max_difficulty < find_preset("full").max_difficulty
+    assert hardest("quick") < hardest("full")
     with pytest.raises(UserError, match="unknown preset 'quik': did you mean quick"):
-        find_preset("quik")
+        hardest("quik")
