@@ -120,15 +120,9 @@ class Go1Env:
     """
 
     def __init__(
-        self,
-        world: World,
-        num_envs: int,
-        config: EnvConfig = EnvConfig(),
-        next_course: NextCourse | None = None,
-        seed: int = 0,
-        num_threads: int = 0,
-        autoreset: bool = True,
-    ):
+        self, world: World, num_envs: int, config: EnvConfig = EnvConfig(), next_course: NextCourse | None = None,
+        seed: int = 0, num_threads: int = 0, autoreset: bool = True,
+    ):  # fmt: skip
         """Compile one model per course and start N = ``num_envs`` simulations.
 
         Parameters

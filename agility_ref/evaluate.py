@@ -166,37 +166,25 @@ def evaluate(
     alive = in_first_episode(r["done"])
     skill, oracle = (np.where(alive, r[k], -1) if k in r else None for k in ("skill", "oracle"))
     return Evaluation(
-        policy.name,
-        environment,
-        config,
-        reward=reward_metric(r["reward"], alive),
-        episode_length=episode_length(alive),
-        waypoint_fraction=waypoint_fraction(r["waypoints"], alive),
-        edge_violation=edge_violation(r["edge"], alive),
-        fell=(r["terminated"] & alive).any(axis=0),
-        difficulty=env.world.difficulties,
-        skill=skill,
-        oracle=oracle,
-        dt=env.config.dt,
-    )
-
-
-def first_episodes(done: list[np.ndarray]) -> bool:
-    """Whether every robot has ended an episode; done holds an array (N,) for each step."""
-    return np.any(done, axis=0).all()
+        policy.name, environment, config,
+        reward=reward_metric(r["reward"], alive), episode_length=episode_length(alive),
+        waypoint_fraction=waypoint_fraction(r["waypoints"], alive), edge_violation=edge_violation(r["edge"], alive),
+        fell=(r["terminated"] & alive).any(axis=0), difficulty=env.world.difficulties,
+        skill=skill, oracle=oracle, dt=env.config.dt,
+    )  # fmt: skip
 
 
 def rollout(
     policy: Single | Hierarchy,
     env: Go1Env,
     seed: int,
-    enough: Callable[[list[np.ndarray]], bool] = first_episodes,
+    enough: Callable[[list[np.ndarray]], bool] = lambda done: np.any(done, axis=0).all(),
     before: Callable[[np.ndarray], dict[str, np.ndarray]] = lambda action: {},
     after: Callable[[dict], dict[str, np.ndarray]] = lambda info: {},
 ) -> dict[str, np.ndarray]:
-    """Step until ``enough`` of the list of ``done`` arrays is true; return (T, N, ...) arrays.
+    """Step until ``enough`` of the list of ``done`` arrays (N,) is true; return (T, N, ...) arrays.
 
-    Robots whose episode ends begin another one at once.  ``waypoints`` is the count after the
+    By default every robot ends an episode; those that do begin another one at once.  ``waypoints`` is the count after the
     step, before the reset; ``skill`` and ``oracle`` are there for hierarchies only; whatever
     ``before`` (given the action) and ``after`` (given the info) return is kept of each step too.
     """

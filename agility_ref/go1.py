@@ -148,12 +148,9 @@ BODY_TOUCH = tuple(f"{body}_touch" for body in BODIES)  # each found
 
 
 def make_xml(
-    course: Course,
-    physics: PhysicsConfig = PhysicsConfig(),
-    num_boxes: int | None = None,
-    friction: float = 1.0,
-    payload: float = 0.0,
-) -> str:
+    course: Course, physics: PhysicsConfig = PhysicsConfig(), num_boxes: int | None = None,
+    friction: float = 1.0, payload: float = 0.0,
+) -> str:  # fmt: skip
     """Return the MJCF of one Go1 on one course.
 
     Parameters

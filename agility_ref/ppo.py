@@ -87,14 +87,9 @@ class Learner:
 
     @classmethod
     def create(
-        cls,
-        obs_mirror: Mirror,
-        act_mirror: Mirror,
-        config: PPOConfig,
-        seed: int,
-        discrete: bool = False,
-        fixed: slice = slice(0, 0),
-    ) -> "Learner":
+        cls, obs_mirror: Mirror, act_mirror: Mirror, config: PPOConfig, seed: int,
+        discrete: bool = False, fixed: slice = slice(0, 0),
+    ) -> "Learner":  # fmt: skip
         """Start from scratch; ``fixed`` observations are not normalised but divided by SCANDOT_STD."""
         torch.manual_seed(seed)
         net = ActorCritic(obs_mirror, act_mirror, config.hidden, config.init_std, discrete)
@@ -111,14 +106,9 @@ class Learner:
 
 
 def gae(
-    rewards: np.ndarray,
-    values: np.ndarray,
-    next_values: np.ndarray,
-    terminated: np.ndarray,
-    truncated: np.ndarray,
-    gamma: float,
-    gae_lambda: float,
-) -> np.ndarray:
+    rewards: np.ndarray, values: np.ndarray, next_values: np.ndarray,
+    terminated: np.ndarray, truncated: np.ndarray, gamma: float, gae_lambda: float,
+) -> np.ndarray:  # fmt: skip
     """Generalised advantage estimation (Schulman et al. 2016), all arrays (T, N).
 
     Parameters
@@ -315,11 +305,7 @@ def update(learner: Learner, rollout: Rollout) -> dict[str, float]:
 
 
 def train(
-    env,
-    learner: Learner,
-    total_steps: int,
-    stop: Callable[[], bool] = lambda: False,
-    obs: np.ndarray | None = None,
+    env, learner: Learner, total_steps: int, stop: Callable[[], bool] = lambda: False, obs: np.ndarray | None = None
 ) -> Iterator[dict]:
     """Alternate :func:`collect` and :func:`update` until ``total_steps``; yield each iteration's record.
 

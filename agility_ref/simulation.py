@@ -64,10 +64,7 @@ class Placement:
             values[ids] = table[course].reshape(len(ids), *values.shape[1:])
 
 
-DIVERGED = [
-    int(w)
-    for w in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
-]
+DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}")) for what in ("QPOS", "QVEL", "QACC")]
 
 
 class Simulation:
@@ -87,13 +84,9 @@ class Simulation:
     """
 
     def __init__(
-        self,
-        courses: list[Course],
-        num_robots: int,
-        config: PhysicsConfig,
-        conditions: list[tuple[float, float]],
-        num_threads: int = 0,
-    ):
+        self, courses: list[Course], num_robots: int, config: PhysicsConfig,
+        conditions: list[tuple[float, float]], num_threads: int = 0,
+    ):  # fmt: skip
         """Compile one model per course and start the robots on the first, in the home pose.
 
         Parameters

@@ -46,11 +46,7 @@ def _resamples(num_seeds: int, episodes: int, resamples: int, seed: int) -> np.n
 
 
 def bootstrap_interval(
-    scores: np.ndarray,
-    statistic: Callable = iqm,
-    level: float = 0.95,
-    resamples: int = 2000,
-    seed: int = 0,
+    scores: np.ndarray, statistic: Callable = iqm, level: float = 0.95, resamples: int = 2000, seed: int = 0
 ) -> tuple[float, float]:
     """Percentile interval of a statistic from a bootstrap over training seeds and episodes.
 

@@ -8,8 +8,6 @@ In:  a list of :class:`~agility_ref.terrain.Course`.
 Out: a :class:`World` of stacked maps, one row per course.
 """
 
-from functools import cached_property
-
 from agility_ref.terrain import CELL, GRID_SHAPE, LANE_WIDTH, SKILLS, Course
 
 import numpy as np
@@ -47,13 +45,7 @@ def edge_map(heights: np.ndarray, axes: str = "xy") -> np.ndarray:
     ----------
     heights : (nx, ny) [m]
     axes : "xy", or "x" for the original, which looks along x only
-
-    Raises
-    ------
-    ValueError : axes is neither
     """
-    if axes not in ("xy", "x"):
-        raise ValueError(f"edges along {axes!r}; choose xy or x")
     edges = np.full(heights.shape, np.inf, np.float32)
     reach = int(np.floor(EDGE_DISTANCE / CELL + 0.5))  # cell centres within the distance
     for axis in range(len(axes)):
@@ -133,6 +125,7 @@ class World:
     Attributes
     ----------
     courses : list of Course, length C
+    kinds, difficulties : (C,) of every course
     heights : (C, nx, ny) float32 [m]
     scan : (C, nx, ny) float32 [m], what scandots see; see :func:`scan_map`
     edges : (C, nx, ny) float32 [m], height of a near edge or +inf
@@ -143,9 +136,10 @@ class World:
     """
 
     def __init__(self, courses: list[Course], edges: str = "xy"):
-        if not courses:
-            raise ValueError("a world needs at least one course")
         self.courses = list(courses)
+        self.kinds, self.difficulties = (
+            np.array([getattr(c, name) for c in courses]) for name in ("kind", "difficulty")
+        )
         self.heights = np.stack([height_map(c) for c in courses])
         self.scan = np.stack([scan_map(h) for h in self.heights])
         self.edges = np.stack([edge_map(h, edges) for h in self.heights])
@@ -156,16 +150,6 @@ class World:
 
     def __len__(self) -> int:
         return len(self.courses)
-
-    @cached_property
-    def kinds(self) -> np.ndarray:
-        """(C,) kind of every course."""
-        return np.array([c.kind for c in self.courses])
-
-    @cached_property
-    def difficulties(self) -> np.ndarray:
-        """(C,) difficulty of every course."""
-        return np.array([c.difficulty for c in self.courses])
 
     def column(self, x: np.ndarray) -> np.ndarray:
         """Return grid index along x of points [m]; outside the lane, that of its border."""

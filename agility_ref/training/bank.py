@@ -15,12 +15,7 @@ from agility_ref.errors import UserError
 from agility_ref.files import read_json, read_npz
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM
 from agility_ref.policy import Policy
-from agility_ref.selector import (
-    Hierarchy,
-    Single,
-    oracle_hierarchy,
-    selector_hierarchy,
-)
+from agility_ref.selector import Hierarchy, Single, oracle_hierarchy, selector_hierarchy
 from agility_ref.training import weights
 from agility_ref.training.policies import find_policy
 
