@@ -103,9 +103,10 @@ def ship(run: Path, folder: Path = FOLDER) -> Path:
     if not (run / "DONE").exists():
         raise UserError(f"{run} holds no finished run")
     arrays, meta = read_npz(run / "policy.npz")
-    # Critics are half of a file, and only training that starts from a policy asks for one.
-    dropped = ("optimizer.", "curriculum.") + (() if meta["policy"] in WARM_STARTS else ("net.", "normalizer.count"))
-    kept = {name: a for name, a in arrays.items() if not name.startswith(dropped)}
+    # What acts, and only where training starts from a policy its blocks and critic, half of a file.
+    wanted = ("actor.", "normalizer.mean", "normalizer.var", "seen.")
+    wanted += ("net.", "normalizer.count") if meta["policy"] in WARM_STARTS else ()
+    kept = {name: a for name, a in arrays.items() if name.startswith(wanted)}
     path = folder / file_name(meta["preset"], meta["policy"], meta["seed"])
     meta["config"] = meta.get("config", {}) | {"out": ""}  # where it was trained is nobody's business
     write_npz(path, kept, {key: value for key, value in meta.items() if key != "schema"})
