@@ -373,7 +373,7 @@ def test_plot_curves_of_shipped_weights(tmp_path, monkeypatch):
     ("strobe walkk --environment gap", ["unknown policy 'walkk'", "walk"]),
     ("strobe walk --environment gaps", ["unknown environment 'gaps'", "gap"]),
     ("strobe walk --environment gap --course -1", ["courses", "-1"]),
-    ("oracle-map walk --environment gap --robots 0", ["--robots"]),
+    ("oracle-map walk --environment gap --robots 0", ["robots must be", "0"]),
     ("strobe walk --environment gap --period 0", ["period must be above 0, got 0.0"]),
     ("strobe walk --environment gap --period nan", ["period must be above 0, got nan"]),
     ("episode walk --environment gap --seconds 0", ["seconds must be above 0, got 0.0"]),
