@@ -262,21 +262,28 @@ def free_port() -> int:
 
 
 @pytest.fixture
-def page(oracle):
-    """Serve the live page for a while; return its port."""
+def page(oracle, monkeypatch):
+    """Serve the live page during a test; return its port."""
     pytest.importorskip("viser", reason="viser is not installed")
-    from agility_ref.pictures.viewer import serve
+    from agility_ref.pictures import viewer
 
-    port = free_port()
-    thread = threading.Thread(target=serve, args=(oracle, "gap", CONFIG, port, 60.0), daemon=True)
+    port, over = free_port(), threading.Event()
+    step = viewer.Session.step
+    monkeypatch.setattr(viewer.Session, "step", lambda self: sys.exit() if over.is_set() else step(self))
+    thread = threading.Thread(target=viewer.serve, args=(oracle, "gap", CONFIG, port), daemon=True)
     thread.start()
     for _ in range(100):
         try:
             socket.create_connection(("127.0.0.1", port), 1).close()
-            return port
+            break
         except OSError:
             time.sleep(0.1)
-    raise AssertionError("the page never came up")
+    else:
+        raise AssertionError("the page never came up")
+    yield port
+    over.set()
+    thread.join(30)  # a thread that simulates while Python ends would crash it
+    assert not thread.is_alive()
 
 
 def other_addresses() -> list[str]:
