@@ -1,3 +1,4 @@
+import contextlib
 import os
 import socket
 import subprocess
@@ -261,29 +262,38 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
-@pytest.fixture
-def page(oracle, monkeypatch):
-    """Serve the live page during a test; return its port."""
-    pytest.importorskip("viser", reason="viser is not installed")
+@contextlib.contextmanager
+def served(policy, environment, config):
+    """Serve the live page within a block; give its port.  The thread ends first: one that simulates while Python ends crashes it."""
     from agility_ref.pictures import viewer
 
-    port, over = free_port(), threading.Event()
-    step = viewer.Session.step
-    monkeypatch.setattr(viewer.Session, "step", lambda self: sys.exit() if over.is_set() else step(self))
-    thread = threading.Thread(target=viewer.serve, args=(oracle, "gap", CONFIG, port), daemon=True)
-    thread.start()
-    for _ in range(100):
+    port, over, step = free_port(), threading.Event(), viewer.Session.step
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(viewer.Session, "step", lambda self: sys.exit() if over.is_set() else step(self))
+        thread = threading.Thread(target=viewer.serve, args=(policy, environment, config, port), daemon=True)
+        thread.start()
         try:
-            socket.create_connection(("127.0.0.1", port), 1).close()
-            break
-        except OSError:
-            time.sleep(0.1)
-    else:
-        raise AssertionError("the page never came up")
-    yield port
-    over.set()
-    thread.join(30)  # a thread that simulates while Python ends would crash it
-    assert not thread.is_alive()
+            for _ in range(100):
+                try:
+                    socket.create_connection(("127.0.0.1", port), 1).close()
+                    break
+                except OSError:
+                    time.sleep(0.1)
+            else:
+                raise AssertionError("the page never came up")
+            yield port
+        finally:
+            over.set()
+            thread.join(30)
+        assert not thread.is_alive()
+
+
+@pytest.fixture
+def page(oracle):
+    """Serve the live page during a test; return its port."""
+    pytest.importorskip("viser", reason="viser is not installed")
+    with served(oracle, "gap", CONFIG) as port:
+        yield port
 
 
 def other_addresses() -> list[str]:

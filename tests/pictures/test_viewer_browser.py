@@ -11,7 +11,6 @@ import resource
 import shutil
 import subprocess
 import sys
-import threading
 import time
 
 from agility_ref.evaluate import EvaluationConfig
@@ -21,7 +20,7 @@ from agility_ref.training.bank import WeightsConfig, load_policy
 import numpy as np
 import pytest
 from PIL import Image
-from test_viewer import free_port
+from test_viewer import free_port, served
 
 pytestmark = pytest.mark.slow
 
@@ -78,13 +77,10 @@ def session(monkeypatch):
             self.pushes.append((direction, np.linalg.norm(self._qvel[0, :2] - before)))
 
     monkeypatch.setattr(viewer, "Session", Noted)
-    policy, port = load_policy("climb", WeightsConfig(preset="quick")), free_port()
-    arguments = policy, "climb", EvaluationConfig(preset="quick", difficulty=0.3), port, 300.0
-    threading.Thread(target=viewer.serve, args=arguments, daemon=True).start()
-    while not made:
-        time.sleep(0.1)
-    made[0].port = port
-    return made[0]
+    policy = load_policy("climb", WeightsConfig(preset="quick"))
+    with served(policy, "climb", EvaluationConfig(preset="quick", difficulty=0.3)) as port:
+        made[0].port = port
+        yield made[0]
 
 
 def wait(true, seconds=PATIENCE / 1000):
