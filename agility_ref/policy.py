@@ -66,10 +66,8 @@ class Policy:
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
     mean: np.ndarray  # (obs_dim,) subtracted from the observation
     std: np.ndarray  # (obs_dim,) divides the difference
-    low: (
-        np.ndarray
-    )  # (obs_dim,) the quotient is clipped to this: -5, or the checkpoint's ``seen.low`` where it is higher
-    high: np.ndarray  # (obs_dim,) ... and to this: 5, or ``seen.high`` where it is lower
+    low: np.ndarray  # (obs_dim,) the quotient is at least this: -5, or ``seen.low`` where that is higher
+    high: np.ndarray  # (obs_dim,) ... and at most this: 5, or ``seen.high`` where that is lower
     meta: dict
 
     @classmethod
@@ -84,21 +82,20 @@ class Policy:
             layers, mean, var = layers_of(arrays, "actor"), arrays["normalizer.mean"], arrays["normalizer.var"]
         except KeyError as error:
             raise UserError(f"{source} lacks the array {error}") from None
+        acting = {name: a for name, a in arrays.items() if name.startswith(("actor.", "normalizer.", "seen."))}
+        if any(a.dtype.kind != "f" for a in acting.values()):
+            raise UserError(f"{source}: weights are to be float32 or float64")
         seen = [arrays.get(f"seen.{end}", np.full_like(mean, x)) for end, x in (("low", -np.inf), ("high", np.inf))]
         width = mean.size
-        fits = [
-            (name, x, (width,))
-            for name, x in zip(("mean", "var", "seen.low", "seen.high"), (mean, var, *seen), strict=True)
-        ]
+        parts = {"mean": mean, "var": var, "seen.low": seen[0], "seen.high": seen[1]}
+        fits = [(name, array, (width,)) for name, array in parts.items()]
         for i, (weight, bias) in enumerate(layers):
             fits += [(f"layer {i}", weight, (bias.size, width)), (f"bias {i}", bias, (bias.size,))]
             width = bias.size
         for name, array, shape in fits:
-            if array.shape != shape or array.dtype.kind != "f":
-                raise UserError(f"{source}: {name} is {array.dtype} of shape {array.shape}, expected float of {shape}")
-        if bad := beyond_use(
-            {name: a for name, a in arrays.items() if name.startswith(("actor.", "normalizer.", "seen."))}
-        ):
+            if array.shape != shape:
+                raise UserError(f"{source}: {name} has shape {array.shape}, expected {shape}")
+        if bad := beyond_use(acting):
             raise UserError(f"{source}: {bad} is not finite, or beyond {MAX_WEIGHT:g}")
         if var.min(initial=0) < 0:
             raise UserError(f"{source}: normalizer.var has numbers below 0")

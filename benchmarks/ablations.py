@@ -268,7 +268,7 @@ def draw(found: dict):
 def main(config: Config) -> None:
     for name in config.policies:
         check_skill(name)
-    hardest(config.preset)
+    hardest(config.preset)  # refuses an unknown one
     known = {a.name: a for a in ABLATIONS}
     for name in config.only:
         if name not in known:

@@ -20,7 +20,6 @@ import io
 import os
 import pkgutil
 import random
-import resource
 import shlex
 import shutil
 import signal
@@ -41,45 +40,18 @@ from agility_ref.terrain import COURSE_KINDS
 from agility_ref.training.export import FORMS
 from agility_ref.training.policies import POLICIES
 
+from fuzz_files import peak_megabytes
+
 WEIGHTS = Path(__file__).parent.parent / "agility_ref" / "weights"
 INTS = (
-    "0",
-    "1",
-    "2",
-    "3",
-    "5",
-    "-1",
-    "64",
-    "2147483648",
-    "9223372036854775807",
-    "9223372036854775808",
-    "-9223372036854775809",
-    "1" + "0" * 30,
-)
+    "0", "1", "2", "3", "5", "-1",
+    "64", "2147483648", "9223372036854775807", "9223372036854775808", "-9223372036854775809", "1" + "0" * 30,
+)  # fmt: skip
 FLOATS = ("0", "1", "0.5", "0.1", "-1", "1e-9", "1e-300", "1e30", "1e308", "1e400", "nan", "inf", "-inf", "3")
 TEXTS = (
-    "",
-    " ",
-    "x",
-    "-",
-    "--",
-    "-1",
-    "None",
-    "True",
-    "a b",
-    "é",
-    "\x1b[2J",
-    "a\nb",
-    "*",
-    "~",
-    "x" * 300,
-    "1_0",
-    "0x10",
-    "١",
-    "{}",
-    "%s",
-    "\udcff",
-)
+    "", " ", "x", "-", "--", "-1", "None", "True", "a b", "é", "\x1b[2J",
+    "a\nb", "*", "~", "x" * 300, "1_0", "0x10", "١", "{}", "%s", "\udcff",
+)  # fmt: skip
 FOLDERS = ("new", "made", "file", "none/such", "made/../new2", "loop", "/dev/null", "/proc/nowhere", "x" * 300)
 NAMES = {
     "POLICY": (*POLICIES, "gen5", "climb_up", str(WEIGHTS / "walk-quick-seed0.npz")), "ENVIRONMENT": (*COURSE_KINDS, "clim"), "PRESET": (*PRESETS, "fast"),
@@ -250,9 +222,8 @@ def fuzz(
     for name, entry in COMMANDS.items():
         for kind, command in entry.items() if isinstance(entry, dict) else [("", entry)]:
             grammar[(name, kind) if kind else (name,)] = list(flags_of(options_of(command, every=True)))
-    for module in pkgutil.walk_packages(
-        agility_ref.__path__, "agility_ref."
-    ):  # an import that is interrupted stays half done
+    # An import that is interrupted stays half done.
+    for module in pkgutil.walk_packages(agility_ref.__path__, "agility_ref."):
         if module.name not in ("agility_ref.__main__", "agility_ref.gym"):
             importlib.import_module(module.name)
     here, counts = Path.cwd(), Counter()
@@ -269,8 +240,9 @@ def fuzz(
             ["plot", "courses"],
             ["plot", "run", ".made/walk/seed0"],
         ):
-            if (ended := run(words, 600.0)) != (0, ended[1]):
-                raise RuntimeError(f"{words}: {ended}")
+            status, said = run(words, 600.0)
+            if status != 0:
+                raise RuntimeError(f"{words}: {status}; {said}")
         scene(folder)
         watched = Watched(folder)
         for number in range(first, first + lines):
@@ -319,8 +291,7 @@ def fuzz_all() -> None:
             f"status {status}: "
             + ", ".join(f"{n} {command}" for (command, s), n in sorted(counts.items()) if s == status)
         )
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"{counts.total()} of {args.lines}; peak memory {peak:.0f} MB; {time.monotonic() - begun:.0f} s")
+    print(f"{counts.total()} of {args.lines}; peak memory {peak_megabytes():.0f} MB; {time.monotonic() - begun:.0f} s")
     if faults:
         sys.exit("\n".join(["faults:", *faults]))
 

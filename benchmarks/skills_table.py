@@ -64,7 +64,7 @@ def load(config: Config) -> dict[tuple[str, int], Policy]:
     ------
     UserError : unknown preset, unreadable weights, or none at all
     """
-    hardest(config.preset)
+    hardest(config.preset)  # refuses an unknown one
     found, missing = {}, None
     for name in config.policies:
         for seed in seeds_with_weights(name, TrainConfig(preset=config.preset, out=config.runs)):

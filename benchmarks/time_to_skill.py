@@ -124,7 +124,7 @@ def write(config: Config, runs: list[dict], command: str) -> None:
 
 def main(config: Config) -> None:
     check_skill(config.policy)
-    hardest(config.preset)
+    hardest(config.preset)  # refuses an unknown one
     if not config.thresholds or not config.seeds or config.every < 1:
         raise UserError("give at least one seed, one threshold and one step between evaluations")
     started = machine()

@@ -74,7 +74,7 @@ def find_weights(policy: str, config: WeightsConfig) -> Path | None:
     UserError : unknown policy or preset, an unfinished run, one of another preset, or settings or shipped weights
         that are damaged
     """
-    hardest(config.preset)
+    hardest(config.preset)  # refuses an unknown one
     own = run_folder(config.root, policy, config.seed)
     if unfinished(own):
         raise UserError(f"{own} holds a run that is not finished; finish it with: {_training_command(policy, config)}")

@@ -128,14 +128,10 @@ def fit_selector(
     """
     torch.set_num_threads(1)
     torch.manual_seed(seed)
-    generator = torch.Generator().manual_seed(seed)
     normalizer = Normalizer(SCANDOT_MIRROR, slice(0, scandots.shape[1]), SCANDOT_STD)
     net = EquivariantMLP(SCANDOT_MIRROR, config.hidden, Mirror.identity(num_skills), 0.01)
     x, y = net.parts(torch.from_numpy(normalizer(scandots))), torch.from_numpy(labels)
-    losses = fit(
-        net.parameters(), lambda mb: nn.functional.cross_entropy(net(x[mb]), y[mb]),
-        len(x), config.epochs, config.batch_size, config.learning_rate, generator,
-    )  # fmt: skip
+    losses = fit(net.parameters(), lambda mb: nn.functional.cross_entropy(net(x[mb]), y[mb]), len(x), config, seed)
     arrays = {f"actor.{name}": array for name, array in net.dense().items()}
     return arrays | {"normalizer.mean": normalizer.mean, "normalizer.var": normalizer.var}, losses
 
@@ -149,7 +145,6 @@ def fit_student(
     """
     torch.set_num_threads(1)
     torch.manual_seed(seed)
-    generator = torch.Generator().manual_seed(seed)
     normalizer = Normalizer(OBS_MIRROR, SCANDOTS, SCANDOT_STD)
     normalizer.update(observations)
     net = EquivariantMLP(OBS_MIRROR, hidden, ACTION_MIRROR, 0.01)
@@ -159,10 +154,7 @@ def fit_student(
         x = torch.from_numpy(normalizer(observations[mb.numpy()]))  # by the batch: all of it twice is gigabytes
         return ((net(net.parts(x)) - torch.from_numpy(actions[mb.numpy()])) ** 2).mean()
 
-    losses = fit(
-        net.parameters(), loss, len(actions), config.epochs, config.batch_size, config.learning_rate, generator,
-        anneal=True,
-    )  # fmt: skip
+    losses = fit(net.parameters(), loss, len(actions), config, seed, anneal=True)
     arrays = {f"net.actor.{name}": p.detach().numpy().copy() for name, p in net.named_parameters()}
     arrays |= {f"actor.{name}": array for name, array in net.dense().items()}
     return arrays | {
@@ -175,10 +167,8 @@ def fit(
     parameters: Iterable[nn.Parameter],
     loss: Callable[[torch.Tensor], torch.Tensor],
     num_states: int,
-    epochs: int,
-    batch_size: int,
-    learning_rate: float,
-    generator: torch.Generator,
+    config: SupervisedConfig | DistillConfig,
+    seed: int,
     anneal: bool = False,
 ) -> list[float]:
     """Minimise a loss over recorded states with Adam; return its mean in each epoch.
@@ -188,16 +178,18 @@ def fit(
     parameters : what may change
     loss : indices of states (n,) -> mean loss over them
     num_states : states there are
-    epochs, batch_size, learning_rate, generator : passes, states per gradient step, step size, who shuffles
+    config : passes, states per gradient step, step size
+    seed : of the shuffling
     anneal : let the step size fall to zero on a straight line
     """
-    optimizer = torch.optim.Adam(parameters, learning_rate, fused=True)
-    losses, done, total = [], 0, epochs * -(-num_states // batch_size)
-    for _ in tqdm(range(epochs), desc="fit", unit="epoch", leave=False, delay=3, disable=None):
+    optimizer = torch.optim.Adam(parameters, config.learning_rate, fused=True)
+    generator = torch.Generator().manual_seed(seed)
+    losses, done, total = [], 0, config.epochs * -(-num_states // config.batch_size)
+    for _ in tqdm(range(config.epochs), desc="fit", unit="epoch", leave=False, delay=3, disable=None):
         summed = 0.0
-        for mb in torch.randperm(num_states, generator=generator).split(batch_size):
+        for mb in torch.randperm(num_states, generator=generator).split(config.batch_size):
             if anneal:
-                optimizer.param_groups[0]["lr"] = learning_rate * (1.0 - done / total)
+                optimizer.param_groups[0]["lr"] = config.learning_rate * (1.0 - done / total)
             value = loss(mb)
             optimizer.zero_grad()
             value.backward()

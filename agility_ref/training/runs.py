@@ -107,7 +107,7 @@ def train_policy(name: str, config: TrainConfig, quiet: bool = False, draw: Draw
         numbers that are no longer finite
     """
     spec = find_policy(name)
-    hardest(config.preset)
+    hardest(config.preset)  # refuses an unknown one
     if spec.method == "oracle":
         raise UserError(
             "the oracle needs no training: it reads the region map; train its skills: " + ", ".join(spec.skills)

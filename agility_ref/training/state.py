@@ -54,10 +54,15 @@ def learner_state(learner: Learner) -> dict[str, np.ndarray]:
 
 def robots_state(env: Go1Env, curriculum: Curriculum) -> dict[str, np.ndarray]:
     """Return where the robots are, and which courses come next."""
-    parts = (("env", env, ROBOTS), ("curriculum", curriculum, COURSES))
-    state = {f"{part}.{name.strip('_')}": getattr(x, name).copy() for part, x, names in parts for name in names}
+    state = {name: array.copy() for name, array in _live(env, curriculum).items()}
     streams = {name: pack_stream(rng) for name, rng in _streams(env, curriculum).items()}
     return state | streams | {"env.physics": env.simulation.batch.state.copy()}
+
+
+def _live(env: Go1Env, curriculum: Curriculum) -> dict[str, np.ndarray]:
+    """Return the arrays themselves: writing to one changes the robots or the curriculum."""
+    parts = (("env", env, ROBOTS), ("curriculum", curriculum, COURSES))
+    return {f"{part}.{name.strip('_')}": getattr(x, name) for part, x, names in parts for name in names}
 
 
 def _streams(env: Go1Env, curriculum: Curriculum) -> dict[str, np.random.Generator]:
@@ -79,9 +84,8 @@ def load_robots(env: Go1Env, curriculum: Curriculum, arrays: dict[str, np.ndarra
     for name, end in ends.items():
         if arrays[name].min() < 0 or arrays[name].max() >= end:
             raise UserError(f"{name} of the checkpoint must be from 0 to {end - 1}")
-    for part, target, names in (("env", env, ROBOTS), ("curriculum", curriculum, COURSES)):
-        for name in names:
-            getattr(target, name)[...] = arrays[f"{part}.{name.strip('_')}"]
+    for name, array in _live(env, curriculum).items():
+        array[...] = arrays[name]
     env.simulation.load_state(env.course, arrays["env.physics"])
     for name, rng in _streams(env, curriculum).items():
         unpack_stream(rng, arrays[name])

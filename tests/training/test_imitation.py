@@ -240,8 +240,8 @@ def test_a_selectors_normaliser_is_that_of_the_scandots():
 def test_fit_takes_adams_steps():
     # Adam's first step is the step size times the sign of the gradient: 1 - 0.1, then further down.
     x = torch.nn.Parameter(torch.tensor([1.0]))
-    generator = torch.Generator().manual_seed(0)
-    assert fit([x], lambda mb: (x**2).sum(), 1, 1, 1, 0.1, generator) == [1.0]
+    config = DistillConfig(epochs=1, batch_size=1, learning_rate=0.1)
+    assert fit([x], lambda mb: (x**2).sum(), 1, config, seed=0) == [1.0]
     np.testing.assert_allclose(x.detach(), [0.9], atol=1e-6)
 
 
@@ -253,7 +253,7 @@ def test_fit_meets_every_state_once_an_epoch_and_averages_over_them():
         seen.append(mb.tolist())
         return mb.float().mean() + 0.0 * x.sum()
 
-    losses = fit([x], loss, 5, 2, 2, 0.1, torch.Generator().manual_seed(0))
+    losses = fit([x], loss, 5, DistillConfig(epochs=2, batch_size=2, learning_rate=0.1), seed=0)
     assert [len(mb) for mb in seen] == [2, 2, 1] * 2
     for epoch in (seen[:3], seen[3:]):
         assert sorted(state for mb in epoch for state in mb) == [0, 1, 2, 3, 4]
@@ -264,5 +264,6 @@ def test_an_annealed_fit_ends_with_small_steps():
     # A constant gradient makes each of Adam's steps the step size: 0.1 (1 + 3/4 + 2/4 + 1/4) = 0.25
     for anneal, expected in ((False, -0.4), (True, -0.25)):
         x = torch.nn.Parameter(torch.zeros(1))
-        fit([x], lambda mb, x=x: x.sum(), 4, 1, 1, 0.1, torch.Generator(), anneal)
+        config = DistillConfig(epochs=1, batch_size=1, learning_rate=0.1)
+        fit([x], lambda mb, x=x: x.sum(), 4, config, seed=0, anneal=anneal)
         np.testing.assert_allclose(x.detach(), [expected], atol=1e-6)
