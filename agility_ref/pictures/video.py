@@ -89,8 +89,12 @@ def check_video(config: VideoConfig, out: Path | None = None) -> None:
     for what in ("width", "height", "fps", "speed", "seconds"):
         if not getattr(config, what) > 0:
             raise UserError(f"{what} must be above 0, got {getattr(config, what)}")
-    if not config.start >= 0:
-        raise UserError(f"start must be at least 0, got {config.start}")
+    if not 0 <= config.start < float("inf"):
+        raise UserError(f"start must be at least 0 and finite, got {config.start}")
+    if not config.fps / config.speed <= 1000:
+        raise UserError(
+            f"fps / speed must be at most 1000 frames per second of the episode, got {config.fps / config.speed:g}"
+        )
     if not 1 <= config.quality <= 100:
         raise UserError(f"quality must be between 1 and 100, got {config.quality}")
     if out is not None and out.suffix not in (".webp", ".gif", ".mp4"):

@@ -157,6 +157,9 @@ def test_both_backends(film, backend):
     ("--out x.avi", [".webp", ".gif", ".mp4", ".avi"]),
     ("--start 1000", ["--start"]),
     ("--start 1000 --out x.mp4", ["--start"]),
+    ("--start 1e400", ["start must be at least 0 and finite, got inf"]),
+    ("--fps 1" + "0" * 30, ["fps / speed must be at most 1000", "1e+30"]),
+    ("--speed 1e-300", ["fps / speed must be at most 1000"]),
 ])  # fmt: skip
 def test_bad_films_are_one_line(film, options, expected):
     _, done = film(f"walk --environment gap --width 64 --height 48 {options}")
