@@ -1,21 +1,24 @@
-"""Where the oracle falls on Climb+Gap: the same obstacles in other orders, and skills with unbounded sight.
+"""Where the oracle falls on Climb+Gap: the same obstacles in other orders, and skills with other bounds of sight.
 
     python benchmarks/climb_gap.py [--difficulty 0.5] [--json]
 
 The oracle plays courses of six obstacles, up (u), down (d) and gap (g), noise and pushes off, with its
 skills as they are, which see ground no higher or lower than their own courses show it
-(`agility_ref/observation.py`), and with skills that see all there is.  On Climb+Gap some skills
-alone are then given unbounded sight.
+(`agility_ref/training/sight.py`), and with skills that see all there is.  On Climb+Gap some skills
+alone are then given unbounded sight.  Last, an oracle over walk, climb and leap, whose `climb` reads
+the ground at most so deep: what SIGHT_DEPTH was chosen by.
 """
 
 from dataclasses import asdict, dataclass, replace
 
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.evaluate import EvaluationConfig, in_first_episode, rollout, waypoint_fraction
-from agility_ref.selector import Hierarchy
+from agility_ref.observation import OBS_DIM, SCANDOT_STD, SCANDOTS
+from agility_ref.policy import CLIP
+from agility_ref.selector import Hierarchy, oracle_hierarchy
 from agility_ref.stats import paired_difference
 from agility_ref.terrain import islands
-from agility_ref.training.bank import load_policy
+from agility_ref.training.bank import load_bank, load_policy
 from agility_ref.training.policies import find_policy
 from agility_ref.training.runs import TrainConfig
 from agility_ref.world import World
@@ -27,6 +30,8 @@ from learning import tell
 CLIMB_GAP = "ugudgd"
 LAYOUTS = ("uuuuuu", "uududd", "ududud", "gggggg", "udgudg", "gudgud", CLIMB_GAP)
 ALL = find_policy("oracle").skills
+DEPTHS = (1.0, 0.65, 0.5, 0.35, 0.2)  # [m] below the feet; 1 is where scandots end
+DEPTH_LAYOUTS = (CLIMB_GAP, "uugddd", "uududd")
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,14 @@ def unbounded(oracle: Hierarchy, names: tuple[str, ...]) -> Hierarchy:
     return replace(oracle, skills=tuple(skills))
 
 
+def shallow(oracle: Hierarchy, depth: float) -> Hierarchy:
+    """Return the oracle with a ``climb`` that reads the ground at most ``depth`` [m] below its feet."""
+    high = np.full(OBS_DIM, CLIP, np.float32)
+    high[SCANDOTS] = depth / SCANDOT_STD
+    skills = (replace(skill, high=high) if skill.name == "climb" else skill for skill in oracle.skills)
+    return replace(oracle, skills=tuple(skills))
+
+
 def play(policy: Hierarchy, moves: str, config: Config) -> np.ndarray:
     """Play one episode a course; return the waypoint fractions (N,)."""
     courses = [
@@ -69,9 +82,9 @@ def play(policy: Hierarchy, moves: str, config: Config) -> np.ndarray:
     return waypoint_fraction(r["waypoints"], in_first_episode(r["done"]))
 
 
-def measure(oracle: Hierarchy, config: Config) -> tuple[list[dict], list[dict]]:
-    """Play every layout, then Climb+Gap with single skills unbounded; return the rows of both tables."""
-    layouts, bounded = [], {}
+def measure(weights: TrainConfig, config: Config) -> tuple[list[dict], list[dict], list[dict]]:
+    """Play every layout, Climb+Gap with single skills unbounded, and depths of sight; return the rows of the tables."""
+    oracle, layouts, bounded = load_policy("oracle", weights), [], {}
     for moves in LAYOUTS:
         bounded[moves], free = play(oracle, moves, config), play(unbounded(oracle, ALL), moves, config)
         layouts.append({"layout": moves, "all unbounded": free.mean(), **compare(bounded[moves], free)})
@@ -81,8 +94,13 @@ def measure(oracle: Hierarchy, config: Config) -> tuple[list[dict], list[dict]]:
         free = play(unbounded(oracle, (name,)), CLIMB_GAP, config)
         singles.append({"unbounded": name, "waypoints": free.mean(), **compare(bounded[CLIMB_GAP], free)})
         tell(f"{name} unbounded: {free.mean():.2f}")
+    three, depths = oracle_hierarchy("oracle", load_bank(find_policy("ps-rl-3").skills, weights)), []
+    for depth in DEPTHS:
+        row = {moves: play(shallow(three, depth), moves, config).mean() for moves in DEPTH_LAYOUTS}
+        depths.append({"climb reads at most": depth} | row)
+        tell(f"depth {depth}: {row[CLIMB_GAP]:.2f}")
     tell()
-    return layouts, singles
+    return layouts, singles, depths
 
 
 def compare(bounded: np.ndarray, free: np.ndarray) -> dict:
@@ -105,10 +123,9 @@ def show(rows: list[dict]) -> list[dict]:
 def main(config: Config) -> None:
     started = machine()
     EvaluationConfig(config.episodes, config.seed, difficulty=config.difficulty)  # refuses what cannot be played
-    oracle = load_policy("oracle", TrainConfig(seed=config.train_seed, out=config.runs))
-    layouts, singles = measure(oracle, config)
-    figures = {"config": asdict(config), "layouts": layouts, "singles": singles}
-    report(config.json, started, figures, show(layouts), show(singles))
+    layouts, singles, depths = measure(TrainConfig(seed=config.train_seed, out=config.runs), config)
+    figures = {"config": asdict(config), "layouts": layouts, "singles": singles, "depths": depths}
+    report(config.json, started, figures, show(layouts), show(singles), show(depths))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from agility_ref.env import EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import Evaluation, EvaluationConfig
 from agility_ref.files import read_npz
-from agility_ref.observation import OBS_DIM
+from agility_ref.observation import OBS_DIM, SCANDOTS
 from agility_ref.ppo import PPOConfig
 from agility_ref.results import findings
 from agility_ref.results.findings import read_ablations
@@ -431,6 +431,19 @@ def test_unbounded_skills_see_what_there_is_and_the_others_do_not(five_skills):
     for name, skill in zip(climb_gap.ALL, oracle.skills, strict=True):
         shown = five_skills[name] if name == "leap" else blind[name]
         np.testing.assert_array_equal(skill(observation), shown(observation))
+
+
+def test_a_shallow_climb_takes_a_pit_for_a_step(five_skills):
+    """Ground 1 m below the feet, the end of the scandots, reads as 0.35 m; whoever leaps sees it as it is."""
+    climb = replace(five_skills["climb-up"], name="climb", high=np.full(OBS_DIM, 5.0, np.float32))
+    leap = replace(five_skills["leap"], high=np.full(OBS_DIM, 5.0, np.float32))
+    skills = climb_gap.shallow(oracle_hierarchy("oracle", five_skills | {"climb": climb, "leap": leap}), 0.35).skills
+    deep, step = (np.zeros((1, OBS_DIM), np.float32) for _ in range(2))
+    deep[:, SCANDOTS], step[:, SCANDOTS] = 1.0, 0.35
+    by_name = {skill.name: skill for skill in skills}
+    np.testing.assert_allclose(by_name["climb"](deep), by_name["climb"](step), atol=1e-6)
+    np.testing.assert_array_equal(by_name["leap"](deep), leap(deep))
+    assert not np.allclose(leap(deep), leap(step))
 
 
 def test_the_layout_of_climb_gap_is_that_of_the_table(monkeypatch, five_skills):

@@ -10,6 +10,7 @@ from agility_ref.world import World
 import numpy as np
 
 SIGHT_MARGIN = 0.1  # [m] by which a walking trunk bobs, and what noise adds
+SIGHT_DEPTH = 0.35  # [m] below the feet; chosen on other courses than the table's (benchmarks/sight_depth.py)
 
 
 def sight(world: World) -> tuple[np.ndarray, np.ndarray]:
@@ -21,7 +22,9 @@ def sight(world: World) -> tuple[np.ndarray, np.ndarray]:
 
     Ours: the paper does not say what a specialist makes of ground that its own courses do not have.  A
     network is of no use on inputs far from those it was trained on, so a trained policy clips them
-    to these bounds: to one that climbs up, a pit looks as the level ground before a step.
+    to these bounds: to one that climbs up, a pit looks as the level ground before a step.  Where no
+    course has a pit, ground more than SIGHT_DEPTH below the feet looks SIGHT_DEPTH deep: who knows two
+    steps down at once would else balk at a step up with a pit beyond it, where it takes one with a step down.
 
     Parameters
     ----------
@@ -43,4 +46,6 @@ def sight(world: World) -> tuple[np.ndarray, np.ndarray]:
     seen = np.concatenate(views)
     seen = np.concatenate([seen, SCANDOT_MIRROR(seen)])  # else a policy and its mirror image see differently
     low[SCANDOTS], high[SCANDOTS] = seen.min(axis=0) - SIGHT_MARGIN, seen.max(axis=0) + SIGHT_MARGIN
+    if not any(obstacle.skill == "leap" for course in world.courses for obstacle in course.obstacles):
+        high[SCANDOTS] = np.minimum(high[SCANDOTS], SIGHT_DEPTH)
     return low, high

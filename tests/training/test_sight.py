@@ -3,7 +3,7 @@
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.observation import SCANDOT_X, SCANDOT_Y, SCANDOTS
 from agility_ref.terrain import make_course
-from agility_ref.training.sight import SIGHT_MARGIN, sight
+from agility_ref.training.sight import SIGHT_DEPTH, SIGHT_MARGIN, sight
 from agility_ref.world import World
 
 import numpy as np
@@ -15,13 +15,13 @@ def straight_ahead(bound):
 
 
 def test_who_climbs_up_sees_nothing_deep_ahead_and_one_step_behind():
-    """Steps of 0.1 + 0.35 / 2 = 0.275 m, treads of at least 0.5 m.  Ahead the ground only rises; behind, within
+    """Steps of 0.1 + 0.35 x 0.4 = 0.24 m, treads of at least 0.5 m.  Ahead the ground only rises; behind, within
     0.45 m, at most one step lies below."""
-    low, high = sight(World([make_course("climb-up", 0.5, seed) for seed in range(4)]))
+    low, high = sight(World([make_course("climb-up", 0.4, seed) for seed in range(4)]))
     ahead, behind = SCANDOT_X > 0.1, SCANDOT_X < -0.1
     np.testing.assert_allclose(straight_ahead(high)[ahead], SIGHT_MARGIN, atol=1e-6)
-    np.testing.assert_allclose(straight_ahead(high)[behind], 0.275 + SIGHT_MARGIN, atol=1e-6)
-    assert (straight_ahead(low)[ahead] <= -0.275 - SIGHT_MARGIN + 1e-6).all()
+    np.testing.assert_allclose(straight_ahead(high)[behind], 0.24 + SIGHT_MARGIN, atol=1e-6)
+    assert (straight_ahead(low)[ahead] <= -0.24 - SIGHT_MARGIN + 1e-6).all()
 
 
 def test_who_leaps_sees_the_pit_everywhere_and_nothing_high():
@@ -29,6 +29,15 @@ def test_who_leaps_sees_the_pit_everywhere_and_nothing_high():
     low, high = sight(World([make_course("gap", 0.5, 0)]))
     np.testing.assert_allclose(straight_ahead(high), 0.525 + SIGHT_MARGIN, atol=1e-6)
     np.testing.assert_allclose(straight_ahead(low), -SIGHT_MARGIN, atol=1e-6)
+
+
+def test_to_who_knows_no_pit_no_ground_is_deeper_than_a_step():
+    """Two steps of 0.1 + 0.35 = 0.45 m lie 0.9 m below the feet of who stands before them; a step up is seen in full."""
+    low, high = sight(World([make_course("climb", 1.0, seed) for seed in range(4)]))
+    np.testing.assert_allclose(straight_ahead(high)[SCANDOT_X > 0.1], SIGHT_DEPTH, atol=1e-6)
+    assert straight_ahead(low).min() <= -0.45 - SIGHT_MARGIN + 1e-6
+    _, high = sight(World([make_course(kind, 1.0, seed) for seed in range(4) for kind in ("climb", "gap")]))
+    np.testing.assert_allclose(straight_ahead(high), 1.0 + SIGHT_MARGIN, atol=1e-6)  # where scandots end
 
 
 def test_sight_bounds_the_scandots_only():
