@@ -318,7 +318,7 @@ class Watch(Play):
     """
 
     difficulty: float | None = 0.3  # Of the courses, 0 to 1; a slider on the page changes it.
-    course: int = 0  # Which course of that seed --html shows, counted from 0.
+    course: tyro.conf.Suppress[int] = 0
     out: tyro.conf.Suppress[str] = ""
     port: int = 8080  # Port to listen on; the next free one if it is taken.
     browser: bool = True  # Open the page where this machine has a display.

@@ -156,7 +156,9 @@ def every_command():
 def test_help_has_at_most_a_dozen_flags_and_two_examples(capsys, name):
     assert main([*name.split(), "--help"]) == 0
     out = capsys.readouterr().out
-    assert len(re.findall(r"^│ --", out, re.M)) <= 12 and not re.search(r"\bSTR\b", out)
+    flags = re.findall(r"^[│ ] --[a-z]", out, re.M)  # a terminal that knows ASCII alone gets no frames
+    assert 1 <= len(flags) <= 12 or name in ("list", "plot run")
+    assert not re.search(r"\bSTR\b", out)
     assert len(re.findall(r"^ +agility-ref \w", out, re.M)) == 2 or name == "list"
 
 
