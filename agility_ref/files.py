@@ -177,11 +177,8 @@ def write_npz(path: Path, arrays: dict[str, np.ndarray], meta: dict, compress: b
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     record = json.dumps({"schema": SCHEMA, **meta}, sort_keys=True)
-    # In memory first: of an archive that a full disk broke off, numpy before 2.3 leaves an end that Python complains of.
-    archive = io.BytesIO()
-    (np.savez_compressed if compress else np.savez)(archive, __meta__=np.array(record), **arrays)
     with replacing(path) as file:
-        file.write(archive.getbuffer())
+        (np.savez_compressed if compress else np.savez)(file, __meta__=np.array(record), **arrays)
 
 
 def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict]:
