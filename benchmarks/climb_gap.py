@@ -30,6 +30,7 @@ from learning import tell
 CLIMB_GAP = "ugudgd"
 LAYOUTS = ("uuuuuu", "uududd", "ududud", "gggggg", "udgudg", "gudgud", CLIMB_GAP)
 ALL = find_policy("oracle").skills
+THREE = find_policy("ps-rl-3").skills
 DEPTHS = (1.0, 0.65, 0.5, 0.35, 0.2)  # [m] below the feet; 1 is where scandots end
 DEPTH_LAYOUTS = (CLIMB_GAP, "uugddd", "uududd")
 
@@ -52,23 +53,23 @@ class Config:
     """Print one JSON object."""
 
 
+def see(oracle: Hierarchy, skills: tuple[str, ...], names: tuple[str, ...], **bounds: np.ndarray) -> Hierarchy:
+    """Return the oracle over ``skills``, of which those in ``names`` have other bounds of sight."""
+    pairs = zip(skills, oracle.skills, strict=True)
+    return replace(oracle, skills=tuple(replace(skill, **bounds) if name in names else skill for name, skill in pairs))
+
+
 def unbounded(oracle: Hierarchy, names: tuple[str, ...]) -> Hierarchy:
     """Return the oracle with the sight of some of its skills as the scandots are."""
-    skills = (
-        replace(skill, low=np.full_like(skill.low, -5.0), high=np.full_like(skill.high, 5.0))
-        if name in names
-        else skill
-        for name, skill in zip(ALL, oracle.skills, strict=True)
-    )
-    return replace(oracle, skills=tuple(skills))
+    end = np.full(OBS_DIM, CLIP, np.float32)
+    return see(oracle, ALL, names, low=-end, high=end)
 
 
 def shallow(oracle: Hierarchy, depth: float) -> Hierarchy:
-    """Return the oracle with a ``climb`` that reads the ground at most ``depth`` [m] below its feet."""
+    """Return the oracle over THREE with a ``climb`` that reads the ground at most ``depth`` [m] below its feet."""
     high = np.full(OBS_DIM, CLIP, np.float32)
     high[SCANDOTS] = depth / SCANDOT_STD
-    skills = (replace(skill, high=high) if skill.name == "climb" else skill for skill in oracle.skills)
-    return replace(oracle, skills=tuple(skills))
+    return see(oracle, THREE, ("climb",), high=high)
 
 
 def play(policy: Hierarchy, moves: str, config: Config) -> np.ndarray:
@@ -94,7 +95,7 @@ def measure(weights: TrainConfig, config: Config) -> tuple[list[dict], list[dict
         free = play(unbounded(oracle, (name,)), CLIMB_GAP, config)
         singles.append({"unbounded": name, "waypoints": free.mean(), **compare(bounded[CLIMB_GAP], free)})
         tell(f"{name} unbounded: {free.mean():.2f}")
-    three, depths = oracle_hierarchy("oracle", load_bank(find_policy("ps-rl-3").skills, weights)), []
+    three, depths = oracle_hierarchy("oracle", load_bank(THREE, weights)), []
     for depth in DEPTHS:
         row = {moves: play(shallow(three, depth), moves, config).mean() for moves in DEPTH_LAYOUTS}
         depths.append({"climb reads at most": depth} | row)

@@ -50,7 +50,7 @@ PLOTS = {
     "run": Command(pictures.plot_run, pictures.Run),
 }
 COMMANDS: dict[str, Command | dict[str, Command]] = {
-    "watch": Command(pictures.watch, pictures.Watch),
+    "watch": Command(pictures.watch, pictures.Watch, lambda: pictures.Page),
     "table1": Command(commands.table1, commands.Table1, commands.evaluation_flags),
     "train": Command(commands.train, commands.Train, commands.train_flags),
     "evaluate": Command(commands.evaluate, commands.Evaluate, commands.evaluation_flags),

@@ -318,13 +318,20 @@ class Watch(Play):
     """
 
     difficulty: float | None = 0.3  # Of the courses, 0 to 1; a slider on the page changes it.
-    course: tyro.conf.Suppress[int] = 0
+    course: int = 0  # Which course of that seed --html shows, counted from 0.
     out: tyro.conf.Suppress[str] = ""
     port: int = 8080  # Port to listen on; the next free one if it is taken.
     browser: bool = True  # Open the page where this machine has a display.
     window: bool = False  # Open a native window instead, where there is a display.
     html: File = ""  # Write one episode as a standalone page to this file instead.
-    seconds: float = 10.0  # Length of that page's clip [s].
+
+
+@dataclass(frozen=True)
+class Page:
+    """The other flags of a standalone page."""
+
+    seconds: float = 10.0
+    """Length of the clip that --html writes [s]."""
 
 
 def watch(options: Watch) -> None:
