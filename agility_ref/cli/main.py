@@ -61,6 +61,7 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
     "export-mjcf": Command(export.export_mjcf, export.ExportMJCF),
     "list": Command(commands.list_names, commands.List),
 }
+PLACE = ("__module__", "__qualname__", "__firstlineno__", "__doc__")
 GROUPS = {"plot": "Draw a picture as PNG and SVG; KIND is one of those below."}
 
 
@@ -68,7 +69,9 @@ def options_of(command: Command, every: bool) -> type:
     """Return the dataclass of a command's flags; of ``every`` one, or of those used first."""
     if not every or command.more is None:
         return command.options
-    mixed = type(command.options.__name__, (command.options, command.more()), {"__doc__": command.options.__doc__})
+    # Under the name, and at the line, of the first: tyro finds the comments behind fields in the source text.
+    place = {key: value for key, value in vars(command.options).items() if key in PLACE}
+    mixed = type(command.options.__name__, (command.options, command.more()), place)
     return dataclass(frozen=True, kw_only=True)(mixed)
 
 

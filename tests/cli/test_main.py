@@ -170,6 +170,12 @@ def test_help_all_has_every_flag(capsys, name):
         assert f"--{f.name.replace('_', '-')}" in out
 
 
+@pytest.mark.parametrize("name", ["evaluate", "diagnose", "video", "watch"])
+def test_help_all_keeps_the_meaning_that_is_written_behind_a_flag(capsys, name):
+    assert main([name, "--help-all"]) == 0
+    assert "Training seed of the weights" in " ".join(capsys.readouterr().out.replace("│", " ").split())
+
+
 @pytest.mark.parametrize("name", ["train", "table1", "evaluate", "diagnose", "video"])
 def test_the_first_flags_have_the_defaults_of_the_configuration(name):
     command = COMMANDS[name]
