@@ -10,7 +10,7 @@ from agility_ref.world import World
 import numpy as np
 
 SIGHT_MARGIN = 0.1  # [m] by which a walking trunk bobs, and what noise adds
-SIGHT_DEPTH = 0.35  # [m] below the feet; chosen on other courses than the table's (benchmarks/sight_depth.py)
+SIGHT_DEPTH = 0.35  # [m] below the feet; chosen on other courses than the table's (benchmarks/climb_gap.py)
 
 
 def sight(world: World) -> tuple[np.ndarray, np.ndarray]:

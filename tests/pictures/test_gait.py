@@ -119,8 +119,5 @@ def test_torques_stay_within_the_motors_limits(walk):
     assert walk.torque_share <= 1.0 + 1e-9, walk
 
 
-def test_the_robot_walks_on_its_feet(walk, request):
-    if "seed1" in request.node.name:
-        # In 2 of the 16 episodes a push folds the rear left leg, and the robot goes on upon its calf (docs/training.md).
-        request.applymarker(pytest.mark.xfail(strict=True, reason="seed 1 kneels after some pushes"))
+def test_the_robot_walks_on_its_feet(walk):
     assert walk.body_share <= MAX_BODY, walk
