@@ -201,9 +201,11 @@ print(f"time: {time.perf_counter() - STARTED:.0f} s")
 # <details><summary>How to read it, and a surprise</summary>
 #
 # If a student of GEN-5's size does what the bank does, the size of the network was not what held GEN-5 back.  Before you
-# decide, look at `distilled` in 7.2 as well: it saw forty times as many states as the first student here.  What makes this surprising
-# is where the effort goes: millions of steps to find five skills, and minutes to move them into one network.  **Finding a skill
-# is expensive, holding it is cheap.**  So "one network or five?" and "one training or five?" are two questions, and the paper's
+# decide, look at `distilled` in 7.2 as well: it saw forty times as many states as the first student here.  On which terrains
+# does its interval hold 0?  What makes this surprising is where the effort goes: millions of steps to find five skills, and
+# minutes to move most of what they can do into one network.  Where it is still behind, look at the terrain on which one skill
+# follows closely upon another: the student has to know not only five skills, but also which of them is at work.  So "one
+# network or five?" and "one training or five?" are two questions, and the paper's
 # comparison of generalists with specialists asks both at once.  Its section 5 hopes for this "post-generalist"; but it needs
 # the bank first, so whoever compares its steps must count the bank's as well.
 #
