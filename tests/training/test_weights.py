@@ -114,5 +114,5 @@ def test_what_the_package_ships_is_what_its_manifest_records():
     assert files == set(entries)
     for name in files:
         assert sha256(weights.FOLDER / name) == entries[name]["sha256"]
-    # plain float arrays take a fourteenth more than the byte planes of before, for which the bound was 15 MB
-    assert sum((weights.FOLDER / name).stat().st_size for name in files) <= 16e6
+    # 51 networks of up to 81,804 numbers are 0.33 MB each; those that training starts from have their critic as well.
+    assert sum((weights.FOLDER / name).stat().st_size for name in files) <= 17e6
