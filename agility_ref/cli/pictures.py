@@ -330,8 +330,7 @@ class Watch(Play):
 class Page:
     """The other flags of a standalone page."""
 
-    seconds: float = 10.0
-    """Length of the clip that --html writes [s]."""
+    seconds: float = 10.0  # Length of the clip that --html writes [s].
 
 
 def watch(options: Watch) -> None:
