@@ -223,27 +223,28 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
     last_drawn = time.monotonic()
     start = last_drawn - (float(rows[-1]["wall_seconds"]) if rows else 0.0)
 
+    record = {
+        "policy": spec.name, "preset": config.preset, "seed": config.seed, "start": learner.start,
+        "courses": spec.courses, "act_dim": len(act_mirror.index), "obs_dim": OBS_DIM, "versions": versions(),
+        "config": asdict(config), "skills": bank,
+    }  # fmt: skip
+
     def save(compress: bool) -> None:
         arrays = policy_arrays(learner) | learner_state(learner) | robots_state(robots, curriculum) | seen
         arrays |= {"progress.episodes": log.last_episodes()}
         if bad := beyond_use(arrays):
             raise _diverged(folder, bad, learner, batch)
-        meta = {
-            "policy": spec.name, "preset": config.preset, "seed": config.seed, "steps": learner.steps,
-            "start": learner.start, "courses": spec.courses, "act_dim": len(act_mirror.index), "obs_dim": OBS_DIM,
-            "versions": versions(), "wall_seconds": time.monotonic() - start, "config": asdict(config),
-            "skills": bank,
-        }  # fmt: skip
+        meta = record | {"steps": learner.steps, "wall_seconds": time.monotonic() - start}
         log.write()
         write_npz(folder / "policy.npz", arrays, meta, compress)
 
     with stop, log, np.errstate(over="ignore", invalid="ignore"):  # what is no longer finite is found below
-        for record in train(env, learner, total, stop.requested, robots.observation if rows else None):
-            if bad := next((key for key, value in record.items() if key != "episodes" and not np.isfinite(value)), ""):
+        for iteration in train(env, learner, total, stop.requested, robots.observation if rows else None):
+            if bad := next((key for key, x in iteration.items() if key != "episodes" and not np.isfinite(x)), ""):
                 raise _diverged(folder, bad, learner, batch)
             levels = curriculum.levels()
             by_kind = dict(zip(kinds, levels, strict=False))
-            log.add(record, time.monotonic() - start, float(levels.mean()), by_kind)
+            log.add(iteration, time.monotonic() - start, float(levels.mean()), by_kind)
             save(compress=False)  # every time: even a killed run loses no more than one iteration
             if draw and time.monotonic() - last_drawn > 60.0:
                 last_drawn = time.monotonic()
