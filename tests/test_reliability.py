@@ -50,7 +50,7 @@ def test_damaged_files_are_refused_or_as_good_as_new(tmp_path):
     assert {kind for kind, _, outcome in counts if outcome == "loaded"} >= {"checkpoint", "cell"}
 
 
-@pytest.mark.parametrize("lines", [20, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("lines", [12, pytest.param(2000, marks=pytest.mark.slow)])
 def test_whatever_is_typed_ends_with_an_exit_status(lines):
     """In a process of its own, for it sets alarms and watches what is written for good."""
     command = [sys.executable, ROOT / "benchmarks" / "fuzz_commands.py", "--lines", str(lines), "--seconds", "0.3"]

@@ -18,7 +18,7 @@
 # list: the heights, the robot's terrain scan, the edges, the waypoints, and the map that tells the oracle which skill
 # to use where (paper section 3.2.1, Figure 3).
 #
-# It takes about 10 seconds.  As a notebook it shows its figures below the cells; `python tutorials/01_terrain.py`
+# It takes about 5 seconds on two cores.  As a notebook it shows its figures below the cells; `python tutorials/01_terrain.py`
 # writes them into the folder `figures/` of the directory you start it from.
 
 # %%

@@ -17,7 +17,7 @@
 # the model, pushes one motor to its limit, reads the observation, takes the reward
 # apart, and weighs the robot with its own feet (paper sections 3.1 and 4.1).
 #
-# It takes about 10 seconds.  As a notebook it shows its figures below the cells; `python tutorials/02_robot.py` writes
+# It takes about 5 seconds on two cores.  As a notebook it shows its figures below the cells; `python tutorials/02_robot.py` writes
 # them into the folder `figures/` of the directory you start it from.
 
 # %%

@@ -17,7 +17,7 @@
 # (where many implementations are wrong), and how far one update may go (one line of torch).  Then the whole algorithm
 # learns a small task twice, once as it should and once with a bug that nobody notices (paper section 3.2.1).
 #
-# It takes about 20 seconds.  As a notebook it shows its figures below the cells; `python tutorials/03_ppo.py` writes
+# It takes about 10 seconds on two cores.  As a notebook it shows its figures below the cells; `python tutorials/03_ppo.py` writes
 # them into the folder `figures/` of the directory you start it from.
 
 # %%

@@ -17,7 +17,7 @@
 # to learn the other.  This tutorial writes the mirror down as a matrix, checks that the physics respects it, builds a
 # network that cannot help respecting it, measures what that is worth, and ends with a donkey that starves.
 #
-# It takes about a minute.  As a notebook it shows its figures below the cells; `python tutorials/04_symmetry.py` writes
+# It takes about 40 seconds on two cores.  As a notebook it shows its figures below the cells; `python tutorials/04_symmetry.py` writes
 # them into the folder `figures/` of the directory you start it from.
 
 # %%

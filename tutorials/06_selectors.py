@@ -18,7 +18,7 @@
 # DAgger), and ends with a selector that learns by trial and error, and with the way in which those go wrong: they forget
 # skills (paper section 3.2).
 #
-# It takes about a minute and a half.  As a notebook it shows its figures below the cells; `python tutorials/06_selectors.py` writes
+# It takes about 50 seconds on two cores.  As a notebook it shows its figures below the cells; `python tutorials/06_selectors.py` writes
 # them into the folder `figures/` of the directory you start it from.
 
 # %%

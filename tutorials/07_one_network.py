@@ -17,7 +17,7 @@
 # tutorial lets both play, asks why one network has a hard time with five tasks, and then sees how far one gets that is taught
 # for a minute what the bank does (paper sections 4 and 5).
 #
-# It takes about a minute.  As a notebook it shows its figures below the cells; `python tutorials/07_one_network.py` writes
+# It takes about 45 seconds on two cores.  As a notebook it shows its figures below the cells; `python tutorials/07_one_network.py` writes
 # them into the folder `figures/` of the directory you start it from.
 
 # %%

@@ -18,7 +18,7 @@
 # them.  Nothing is trained here: two generalists that ship with the package play, and the rest is chance that we
 # simulate, where the truth is known.
 #
-# It takes about a minute.  As a notebook it shows its figures below the cells; `python tutorials/08_reading_a_table.py`
+# It takes about half a minute on two cores.  As a notebook it shows its figures below the cells; `python tutorials/08_reading_a_table.py`
 # writes them into the folder `figures/` of the directory you start it from.
 
 # %%
