@@ -7,7 +7,7 @@ by construction, so nothing is learned twice.  The paper's skills and its select
 In:  normalised observations (n, obs_dim).  Out: distributions over actions, and values.
 """
 
-import itertools
+from collections.abc import Iterator
 
 from agility_ref.observation import Mirror
 from agility_ref.policy import CLIP, VAR_FLOOR
@@ -71,10 +71,19 @@ class EquivariantMLP(nn.Module):
     An M' that flips nothing makes the network invariant.  The blocks take half of the
     multiplications of dense layers of the same width.  Source: Su et al. 2024, "Leveraging
     Symmetry in RL-based Legged Locomotion Control" (IROS).
+
+    What a hidden layer learns is not W_e and W_o but the weights of the dense layer that they make:
+    of a pair of inputs u takes the first by P and its mirror image by Q, and v the other way round::
+
+        W_e = (P + Q) / sqrt 2,   W_o = (P - Q) / sqrt 2
+
+    Adam divides each gradient by its own size.  On the nearly flat ground of ``walk`` the odd part of the
+    scandots is next to nothing; a W_o of its own would grow there on noise alone, and what starts
+    from that walk would stumble over it (docs/training.md).
     """
 
     def __init__(self, mirror_in: Mirror, hidden: tuple[int, ...], mirror_out: Mirror, last_gain: float):
-        """Draw orthogonal weights; biases start at zero.
+        """Draw orthogonal blocks; biases start at zero.
 
         Parameters
         ----------
@@ -86,16 +95,33 @@ class EquivariantMLP(nn.Module):
         bases_in, bases_out = mirror_in.bases(), mirror_out.bases()
         self.register_buffer("split", torch.from_numpy(np.concatenate(bases_in)), persistent=False)
         self.register_buffer("join", torch.from_numpy(np.concatenate(bases_out)), persistent=False)
-        self.even, self.odd = nn.ModuleList(), nn.ModuleList()
-        for half, layers in enumerate((self.even, self.odd)):
-            sizes = [len(bases_in[half]), *(units // 2 for units in hidden), len(bases_out[half])]
-            for n_in, n_out in itertools.pairwise(sizes):
-                if n_out or half == 0:  # an invariant output has no odd part
-                    last = len(layers) == len(hidden)
-                    layers.append(nn.Linear(n_in, n_out, bias=half == 0))
-                    nn.init.orthogonal_(layers[-1].weight, last_gain if last else 1.0)
-        for layer in self.even:
-            nn.init.zeros_(layer.bias)
+        self.own, self.other, self.last = nn.ModuleList(), nn.ModuleList(), nn.ModuleList()  # P and b; Q; W_e and W_o
+        sizes = [len(basis) for basis in bases_in]
+        self.pairs = [int((mirror_in.index > np.arange(len(mirror_in.index))).sum())]  # of inputs, per layer
+        for units in hidden:
+            self.own.append(nn.Linear(sizes[0], units // 2))
+            self.other.append(nn.Linear(sizes[1], units // 2, bias=False))
+            sizes = [units // 2] * 2
+            self.pairs.append(units // 2)
+        for size, basis, bias in zip(sizes, bases_out, (True, False), strict=True):
+            if len(basis) or bias:  # an invariant output has no odd part
+                self.last.append(nn.Linear(size, len(basis), bias=bias))
+        for layer in (*self.own, *self.other, *self.last):
+            nn.init.orthogonal_(layer.weight, last_gain if layer in self.last else 1.0)
+            if layer.bias is not None:
+                nn.init.zeros_(layer.bias)
+        with torch.no_grad():
+            for p, q, blocks in zip(self.own, self.other, list(self.blocks()), strict=True):
+                for layer, block in zip((p, q), blocks, strict=True):
+                    layer.weight.copy_(block)
+
+    def blocks(self) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+        """Yield W_e and W_o of each hidden layer; where an input has no partner, they are the weights themselves."""
+        for p, q, pairs in zip(self.own, self.other, self.pairs, strict=False):
+            (p_alone, p), (q_alone, q) = (
+                (w[:, : w.shape[1] - pairs], w[:, w.shape[1] - pairs :]) for w in (p.weight, q.weight)
+            )
+            yield torch.cat([p_alone, (p + q) * SQRT_HALF], 1), torch.cat([q_alone, (p - q) * SQRT_HALF], 1)
 
     def parts(self, x: torch.Tensor) -> torch.Tensor:
         """Return [E x, O x], (n, n_in), which :meth:`forward` takes: a rollout makes them once, an update reads them often."""
@@ -103,31 +129,30 @@ class EquivariantMLP(nn.Module):
 
     def forward(self, parts: torch.Tensor) -> torch.Tensor:
         """Map :meth:`parts` of the input to the output, (n, n_in) -> (n, n_out)."""
-        n_even, hidden = self.even[0].in_features, len(self.even) - 1
+        n_even = self.own[0].in_features
         even, odd = parts[:, :n_even], parts[:, n_even:]
-        for e, o in zip(self.even[:hidden], self.odd[:hidden], strict=True):
-            even, odd = e(even), o(odd)
+        for layer, (w_even, w_odd) in zip(self.own, self.blocks(), strict=True):
+            even, odd = nn.functional.linear(even, w_even, layer.bias), nn.functional.linear(odd, w_odd)
             u, v = nn.functional.elu(even + odd), nn.functional.elu(even - odd)
             even, odd = (u + v) * SQRT_HALF, (u - v) * SQRT_HALF
-        outputs = [self.even[-1](even), *(o(odd) for o in self.odd[hidden:])]
-        return torch.cat(outputs, -1) @ self.join
+        return torch.cat([last(x) for last, x in zip(self.last, (even, odd), strict=False)], -1) @ self.join
 
     @torch.no_grad()
     def dense(self) -> dict[str, np.ndarray]:
         """Multiply out to ordinary layers, "<i>.weight" (out, in) and "<i>.bias" (out,), which any program can run."""
-        n_even, hidden, layers = self.even[0].in_features, len(self.even) - 1, []
+        n_even, layers = self.own[0].in_features, []
         even_in, odd_in = self.split[:n_even], self.split[n_even:]  # how a layer's inputs make its even and odd part
-        for e, o in zip(self.even[:hidden], self.odd[:hidden], strict=True):
+        for layer, (w_even, w_odd) in zip(self.own, self.blocks(), strict=True):
             # u = (W_e E + W_o O) x + b,  v = (W_e E - W_o O) x + b
-            even, odd = e.weight @ even_in, o.weight @ odd_in
-            layers.append((torch.cat([even + odd, even - odd]), torch.cat([e.bias, e.bias])))
-            eye = torch.eye(e.out_features) * SQRT_HALF
+            even, odd = w_even @ even_in, w_odd @ odd_in
+            layers.append((torch.cat([even + odd, even - odd]), torch.cat([layer.bias, layer.bias])))
+            eye = torch.eye(layer.out_features) * SQRT_HALF
             even_in, odd_in = torch.cat([eye, eye], 1), torch.cat([eye, -eye], 1)
-        last, n_even = self.even[-1], self.even[-1].out_features
-        weight = self.join[:n_even].T @ last.weight @ even_in
-        for o in self.odd[hidden:]:
-            weight += self.join[n_even:].T @ o.weight @ odd_in
-        layers.append((weight, last.bias @ self.join[:n_even]))
+        n_even = self.last[0].out_features
+        weight = self.join[:n_even].T @ self.last[0].weight @ even_in
+        for last in self.last[1:]:
+            weight += self.join[n_even:].T @ last.weight @ odd_in
+        layers.append((weight, self.last[0].bias @ self.join[:n_even]))
         return {
             f"{i}.{name}": x.numpy()
             for i, layer in enumerate(layers)

@@ -15,6 +15,6 @@ def random_arrays(seed=0, obs_dim=OBS_DIM, act_dim=ACTION_DIM, gain=1.0):
     obs_mirror = {OBS_DIM: OBS_MIRROR, NUM_SCANDOTS: SCANDOT_MIRROR}.get(obs_dim, flipped)
     act_mirror = ACTION_MIRROR if act_dim == ACTION_DIM else Mirror.identity(act_dim)
     learner = Learner.create(obs_mirror, act_mirror, PPOConfig(hidden=(16,)), seed, fixed=fixed)
-    for half in (learner.net.actor.even, learner.net.actor.odd):
-        half[-1].weight.data *= gain
+    for layer in learner.net.actor.last:
+        layer.weight.data *= gain
     return policy_arrays(learner) | learner_state(learner)

@@ -1,6 +1,7 @@
 import csv
 import importlib
 import json
+import subprocess
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -39,6 +40,7 @@ import pushes
 import skills_table
 import time_to_skill
 import time_to_walk
+import variants
 
 TINY = {
     "preset": "quick",
@@ -70,7 +72,11 @@ SCRIPTS = sorted(path.stem for path in Path(common.__file__).parent.glob("*.py")
 
 @pytest.mark.parametrize(
     "name",
-    [name for name in SCRIPTS if name not in ("common", "learning", "crash_test", "fuzz_commands", "fuzz_files")],
+    [
+        name
+        for name in SCRIPTS
+        if name not in ("common", "learning", "crash_test", "fuzz_commands", "fuzz_files", "variants")
+    ],
 )
 def test_every_script_has_settings_with_help(name, capsys, monkeypatch):
     script = importlib.import_module(name)  # without the optional packages that it may want to run
@@ -78,6 +84,31 @@ def test_every_script_has_settings_with_help(name, capsys, monkeypatch):
     with pytest.raises(SystemExit) as stop:
         common.start(script.main, script.Config)
     assert stop.value.code == 0 and "--json" in capsys.readouterr().out
+
+
+def run_variant(name, *words):
+    """Run a variant in a process of its own, for it changes the package for good."""
+    command = [sys.executable, variants.__file__, name, *map(str, words)]
+    return subprocess.run(command, cwd=Path(__file__).parent.parent, capture_output=True, text=True, timeout=300)
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) for name in variants.VARIANTS])
+def test_a_variant_trains_and_plays(name, tmp_path):
+    small = (
+        "--ppo.num-envs 8 --ppo.num-steps 4 --ppo.hidden 8 --curriculum.num-levels 2 --curriculum.variants 1".split()
+    )
+    run = ("walk", "--preset", "quick", "--steps", 64, "--out", tmp_path, *small)
+    assert run_variant(name, "train", *run).returncode == 0
+    play = ("walk", "--preset", "quick", "--environment", "walk", "--episodes", 1, "--runs", tmp_path)
+    assert "waypoint_fraction" in run_variant(name, "evaluate", *play).stdout
+    weight = read_npz(tmp_path / "walk" / "seed0" / "policy.npz")[0]["actor.0.weight"]
+    unseen = {"critic-sees-more": 10, "told-of-pushes": 6}.get(name, 0)  # by the actor, of what is shown beyond OBS_DIM
+    assert (weight[:, OBS_DIM:] == 0).all(axis=0).sum() == unseen
+
+
+def test_an_unknown_variant_is_one_line():
+    done = run_variant("near-start", "train", "walk")
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "near-starts" in done.stderr
 
 
 # --- learning -----------------------------------------------------------------------------

@@ -102,12 +102,27 @@ def test_first_outputs_are_small_and_last_gain_scales_them():
 
 def test_blocks_start_orthogonal_without_biases():
     net = EquivariantMLP(SWAP, (8, 8), PLAIN(2), 0.01)
-    for half in (net.even, net.odd):
-        for layer, gain in zip(half, (1.0, 1.0, 0.01), strict=False):
-            w = layer.weight.detach().numpy()
-            gram = w @ w.T if len(w) <= w.shape[1] else w.T @ w
-            np.testing.assert_allclose(gram, gain**2 * np.eye(len(gram)), atol=1e-5)
-    assert all((layer.bias == 0).all() for layer in net.even) and all(layer.bias is None for layer in net.odd)
+    blocks = [(w, 1.0) for pair in net.blocks() for w in pair] + [(layer.weight, 0.01) for layer in net.last]
+    assert len(blocks) == 5
+    for weight, gain in blocks:
+        w = weight.detach().numpy()
+        gram = w @ w.T if len(w) <= w.shape[1] else w.T @ w
+        np.testing.assert_allclose(gram, gain**2 * np.eye(len(gram)), atol=1e-5)
+    assert all((layer.bias == 0).all() for layer in (*net.own, net.last[0]))
+    assert all(layer.bias is None for layer in net.other)
+
+
+def test_what_is_learned_are_the_weights_of_the_dense_layers(mirrors):
+    """Of hidden layers: a step of Adam moves each by the same amount, however little left and right differ."""
+    net = random_network(*mirrors)
+    n, dense = len(mirrors[0].index), net.dense()
+    learned = [
+        torch.cat([p.weight, q.weight], 1).abs().sort(1)[0].detach() for p, q in zip(net.own, net.other, strict=True)
+    ]
+    for i, weights in enumerate(learned):
+        rows = np.sort(np.abs(dense[f"{i}.weight"][: len(weights)]), axis=1)
+        np.testing.assert_allclose(rows, weights, atol=1e-6)
+    assert learned[0].shape[1] == n
 
 
 # --- distributions ---------------------------------------------------------------------

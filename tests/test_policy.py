@@ -32,8 +32,8 @@ def learner():
     learner = new_learner(4)
     learner.normalizer.update(np.random.default_rng(0).normal(2.0, 3.0, (100, 9)))
     with torch.no_grad():
-        for half in (learner.net.actor.even, learner.net.actor.odd):
-            half[-1].weight *= 100.0  # so that actions differ visibly
+        for layer in learner.net.actor.last:
+            layer.weight *= 100.0  # so that actions differ visibly
     return learner
 
 

@@ -348,7 +348,7 @@ def test_same_seed_same_weights():
 
 def test_other_seed_other_weights():
     a, b = (learner_state(trained(3, seed)[0]) for seed in (0, 1))
-    for name in ("net.actor.even.0.weight", "net.actor.odd.0.weight", "net.critic.even.0.weight"):
+    for name in ("net.actor.own.0.weight", "net.actor.other.0.weight", "net.critic.own.0.weight"):
         assert not np.array_equal(a[name], b[name])
 
 

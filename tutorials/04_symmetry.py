@@ -159,7 +159,7 @@ print(
     f"largest |f(Mx) - M'f(x)|: {np.abs(f_mirrored - ACTION_MIRROR(f)).max():.0e}, where |f| is up to {np.abs(f).max():.1f}"
 )
 own = sum(p.numel() for p in net.parameters())
-first = net.even[0].weight.numel() + net.odd[0].weight.numel()
+first = net.own[0].weight.numel() + net.other[0].weight.numel()
 ordinary = sum(array.size for array in net.dense().values())
 print(f"first layer: {first} weights instead of {184 * 256}; all layers: {own} numbers instead of {ordinary}")
 

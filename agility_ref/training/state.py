@@ -157,7 +157,7 @@ def check_arrays(
 
 def has_blocks(arrays: dict[str, np.ndarray]) -> bool:
     """Whether a checkpoint holds the blocks of a symmetric actor, from which training can start."""
-    return any(name.startswith("net.actor.") for name in arrays)
+    return any(name.startswith("net.actor.own.") for name in arrays)
 
 
 def warm_start(learner: Learner, arrays: dict[str, np.ndarray], steps: int, std: float, critic_steps: int = 0) -> None:

@@ -98,7 +98,7 @@ def test_checkpoint_holds_what_training_needs(config):
     assert meta["policy"] == "walk" and meta["steps"] == 3 * BATCH and meta["seed"] == 0
     assert {"python", "numpy", "mujoco"} <= set(meta["versions"])
     assert arrays["normalizer.count"] == 3 * BATCH
-    assert "optimizer.actor.even.0.weight.exp_avg" in arrays
+    assert "optimizer.actor.own.0.weight.exp_avg" in arrays
     assert "curriculum.frontier" in arrays and "curriculum.score" in arrays
 
 
@@ -393,7 +393,7 @@ def test_a_run_that_diverges_keeps_its_last_good_policy(config, monkeypatch):
         runs,
         "go_on",
         lambda given, *run: load(
-            given | {"net.critic.even.0.bias": given["net.critic.even.0.bias"] + np.float32(3e38)}, *run
+            given | {"net.critic.own.0.bias": given["net.critic.own.0.bias"] + np.float32(3e38)}, *run
         ),
     )
     for _ in range(2):  # the same command ends alike when it is given again

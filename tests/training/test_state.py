@@ -84,9 +84,9 @@ def test_a_policy_file_is_what_the_network_does():
 
 @pytest.mark.parametrize("spoil, message", [
     (lambda arrays: all_arrays(make(config=replace(TINY, hidden=(8,)))),
-     "checkpoint has net.actor.even.0.weight of shape (4, 1), this network (8, 1)"),
+     "checkpoint has net.actor.own.0.weight of shape (4, 1), this network (8, 1)"),
     (lambda arrays: {name: a for name, a in arrays.items() if not name.startswith("net.critic.")},
-     "checkpoint has net.critic.even.0.weight of shape None, this network (8, 1)"),
+     "checkpoint has net.critic.own.0.weight of shape None, this network (8, 1)"),
 ])  # fmt: skip
 def test_another_network_is_refused(spoil, message):
     with pytest.raises(UserError) as refusal:
@@ -135,7 +135,7 @@ def test_a_start_without_a_critic_rests_the_actor():
         now = learner_state(learner)
         moved.append(
             [
-                not np.array_equal(now[f"net.{net}.even.0.weight"], started[f"net.{net}.even.0.weight"])
+                not np.array_equal(now[f"net.{net}.own.0.weight"], started[f"net.{net}.own.0.weight"])
                 for net in ("actor", "critic")
             ]
         )
@@ -163,5 +163,5 @@ def test_a_start_without_a_critic_begins_with_small_steps():
 
 def test_a_start_from_another_network_is_refused():
     source = make(config=replace(TINY, hidden=(8,)))
-    with pytest.raises(UserError, match=r"net\.actor\.even\.0\.weight of shape \(4, 1\), this network \(8, 1\)"):
+    with pytest.raises(UserError, match=r"net\.actor\.own\.0\.weight of shape \(4, 1\), this network \(8, 1\)"):
         warm_start(make(), all_arrays(source), steps=100, std=0.25)

@@ -78,7 +78,7 @@ def test_the_state_of_a_run_is_small(config):
     ({"env.course": np.full(6, 99)}, r"env\.course of the checkpoint must be from 0 to 3"),
     ({"env.waypoint_index": np.full(6, -1)}, r"env\.waypoint_index of the checkpoint must be from 0 to 7"),
     ({"curriculum.frontier": np.full(1, 2)}, r"curriculum\.frontier of the checkpoint must be from 0 to 1"),
-    ({"optimizer.critic.even.0.bias.exp_avg": None}, r"\(optimizer\.critic\.even\.0\.bias\.exp_avg\)"),
+    ({"optimizer.critic.own.0.bias.exp_avg": None}, r"\(optimizer\.critic\.own\.0\.bias\.exp_avg\)"),
     ({"normalizer.mean": np.zeros(1)}, r"normalizer\.mean is"),
     ({"progress.episodes": np.zeros((2, 3))}, "lacks the state of its averages"),
 ])  # fmt: skip
