@@ -96,13 +96,15 @@ class EquivariantMLP(nn.Module):
         self.register_buffer("split", torch.from_numpy(np.concatenate(bases_in)), persistent=False)
         self.register_buffer("join", torch.from_numpy(np.concatenate(bases_out)), persistent=False)
         self.own, self.other, self.last = nn.ModuleList(), nn.ModuleList(), nn.ModuleList()  # P and b; Q; W_e and W_o
+        self.pairs: list[int] = []  # among the inputs of each hidden layer
         sizes = [len(basis) for basis in bases_in]
-        self.pairs = [int((mirror_in.index > np.arange(len(mirror_in.index))).sum())]  # of inputs, per layer
+        pairs = np.count_nonzero(mirror_in.index > np.arange(len(mirror_in.index)))
         for units in hidden:
             self.own.append(nn.Linear(sizes[0], units // 2))
             self.other.append(nn.Linear(sizes[1], units // 2, bias=False))
-            sizes = [units // 2] * 2
-            self.pairs.append(units // 2)
+            self.pairs.append(pairs)
+            pairs = units // 2
+            sizes = [pairs, pairs]
         for size, basis, bias in zip(sizes, bases_out, (True, False), strict=True):
             if len(basis) or bias:  # an invariant output has no odd part
                 self.last.append(nn.Linear(size, len(basis), bias=bias))
@@ -117,7 +119,7 @@ class EquivariantMLP(nn.Module):
 
     def blocks(self) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
         """Yield W_e and W_o of each hidden layer; where an input has no partner, they are the weights themselves."""
-        for p, q, pairs in zip(self.own, self.other, self.pairs, strict=False):
+        for p, q, pairs in zip(self.own, self.other, self.pairs, strict=True):
             (p_alone, p), (q_alone, q) = (
                 (w[:, : w.shape[1] - pairs], w[:, w.shape[1] - pairs :]) for w in (p.weight, q.weight)
             )
