@@ -30,7 +30,6 @@ from tqdm import tqdm
 
 METRICS = ("reward", "episode_length", "waypoint_fraction", "edge_violation")
 PROTOCOLS = ("complete", "as-published")
-
 EVALUATION_STREAM = 77  # in the seed of an evaluation course, and of no training course
 GOLDEN_SHARE = (5**0.5 - 1) / 2  # steps of this share of a circle fill it most evenly
 
@@ -39,7 +38,7 @@ GOLDEN_SHARE = (5**0.5 - 1) / 2  # steps of this share of a circle fill it most 
 class EvaluationConfig:
     """What is played, and how often."""
 
-    episodes: int = 64  # complete episodes, one per course; usual 64 to 256; As published: robots, 256 in the original
+    episodes: int = 64  # complete episodes, one per course; usual 64 to 256; as published: robots, 256 in the original
     seed: int = 0  # seed of courses, starts, commands, noise and pushes
     preset: str = "full"  # quick draws d ~ U(0, 0.4), full U(0, 1)
     difficulty: float | None = None  # fixes the difficulty of all courses, 0 to 1
@@ -126,8 +125,7 @@ def evaluation_courses(environment: str, config: EvaluationConfig) -> list[Cours
     """
     if environment not in COURSE_KINDS:
         raise unknown_name("environment", environment, COURSE_KINDS)
-    highest = hardest(config.preset)
-    kind = COURSE_KINDS.index(environment)
+    highest, kind = hardest(config.preset), COURSE_KINDS.index(environment)
     courses, first = [], 0.0
     for episode in range(config.episodes):
         rng = np.random.default_rng([config.seed, EVALUATION_STREAM, kind, episode])
@@ -141,17 +139,14 @@ def evaluation_courses(environment: str, config: EvaluationConfig) -> list[Cours
 def evaluation_env(environment: str, config: EvaluationConfig, env_config: EnvConfig = EnvConfig()) -> Go1Env:
     """Build one robot a course; robot i plays course i."""
     world = evaluation_world(environment, config)
-    if config.clean:
-        env_config = env_config.clean()
+    env_config = env_config.clean() if config.clean else env_config
     return Go1Env(world, len(world), env_config, lambda ids, fraction: ids, seed=config.seed)
 
 
 def evaluate(
-    policy: Single | Hierarchy,
-    environment: str,
-    config: EvaluationConfig = EvaluationConfig(),
+    policy: Single | Hierarchy, environment: str, config: EvaluationConfig = EvaluationConfig(),
     env_config: EnvConfig = EnvConfig(),
-) -> Evaluation:
+) -> Evaluation:  # fmt: skip
     """Play the deterministic policy on every course, one complete episode each, and measure it.
 
     Raises
@@ -175,13 +170,11 @@ def evaluate(
 
 
 def rollout(
-    policy: Single | Hierarchy,
-    env: Go1Env,
-    seed: int,
+    policy: Single | Hierarchy, env: Go1Env, seed: int,
     enough: Callable[[list[np.ndarray]], bool] = lambda done: np.any(done, axis=0).all(),
     before: Callable[[np.ndarray], dict[str, np.ndarray]] = lambda action: {},
     after: Callable[[dict], dict[str, np.ndarray]] = lambda info: {},
-) -> dict[str, np.ndarray]:
+) -> dict[str, np.ndarray]:  # fmt: skip
     """Step until ``enough`` of the list of ``done`` arrays (N,) is true; return (T, N, ...) arrays.
 
     By default every robot ends an episode; those that do begin another one at once.  ``waypoints`` is the count after the

@@ -7,6 +7,7 @@ by construction, so nothing is learned twice.  The paper's skills and its select
 In:  normalised observations (n, obs_dim).  Out: distributions over actions, and values.
 """
 
+import itertools
 from collections.abc import Iterator
 
 from agility_ref.observation import Mirror
@@ -77,9 +78,8 @@ class EquivariantMLP(nn.Module):
 
         W_e = (P + Q) / sqrt 2,   W_o = (P - Q) / sqrt 2
 
-    Adam divides each gradient by its own size.  On the nearly flat ground of ``walk`` the odd part of the
-    scandots is next to nothing; a W_o of its own would grow there on noise alone, and what starts
-    from that walk would stumble over it (docs/training.md).
+    Adam divides each gradient by its size.  On the nearly flat ground of ``walk`` the odd part of the scandots is
+    next to nothing: a W_o of its own would grow on noise alone, and spoil what starts from there (docs/training.md).
     """
 
     def __init__(self, mirror_in: Mirror, hidden: tuple[int, ...], mirror_out: Mirror, last_gain: float):
@@ -95,34 +95,26 @@ class EquivariantMLP(nn.Module):
         bases_in, bases_out = mirror_in.bases(), mirror_out.bases()
         self.register_buffer("split", torch.from_numpy(np.concatenate(bases_in)), persistent=False)
         self.register_buffer("join", torch.from_numpy(np.concatenate(bases_out)), persistent=False)
-        self.own, self.other, self.last = nn.ModuleList(), nn.ModuleList(), nn.ModuleList()  # P and b; Q; W_e and W_o
-        self.pairs: list[int] = []  # among the inputs of each hidden layer
-        sizes = [len(basis) for basis in bases_in]
+        halves = [units // 2 for units in hidden]
+        n_even, n_odd = ([len(basis), *halves] for basis in bases_in)
         pairs = np.count_nonzero(mirror_in.index > np.arange(len(mirror_in.index)))
-        for units in hidden:
-            self.own.append(nn.Linear(sizes[0], units // 2))
-            self.other.append(nn.Linear(sizes[1], units // 2, bias=False))
-            self.pairs.append(pairs)
-            pairs = units // 2
-            sizes = [pairs, pairs]
-        for size, basis, bias in zip(sizes, bases_out, (True, False), strict=True):
-            if len(basis) or bias:  # an invariant output has no odd part
-                self.last.append(nn.Linear(size, len(basis), bias=bias))
+        self.pairs = [pairs, *halves[:-1]]  # among the inputs of each hidden layer
+        self.own = nn.ModuleList(nn.Linear(*sizes) for sizes in itertools.pairwise(n_even))  # P and b
+        self.other = nn.ModuleList(nn.Linear(*sizes, bias=False) for sizes in itertools.pairwise(n_odd))  # Q
+        self.last = nn.ModuleList([nn.Linear(n_even[-1], len(bases_out[0]))])  # W_e and b
+        if len(bases_out[1]):  # an invariant output has no odd part
+            self.last.append(nn.Linear(n_odd[-1], len(bases_out[1]), bias=False))  # W_o
         for layer in (*self.own, *self.other, *self.last):
             nn.init.orthogonal_(layer.weight, last_gain if layer in self.last else 1.0)
-            if layer.bias is not None:
-                nn.init.zeros_(layer.bias)
-        with torch.no_grad():
-            for p, q, blocks in zip(self.own, self.other, list(self.blocks()), strict=True):
-                for layer, block in zip((p, q), blocks, strict=True):
-                    layer.weight.copy_(block)
+        for layer in (*self.own, self.last[0]):
+            nn.init.zeros_(layer.bias)
+        for p, q, blocks in zip(self.own, self.other, list(self.blocks()), strict=True):
+            p.weight.data, q.weight.data = (block.detach() for block in blocks)  # turned twice is as it was
 
     def blocks(self) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
         """Yield W_e and W_o of each hidden layer; where an input has no partner, they are the weights themselves."""
         for p, q, pairs in zip(self.own, self.other, self.pairs, strict=True):
-            (p_alone, p), (q_alone, q) = (
-                (w[:, : w.shape[1] - pairs], w[:, w.shape[1] - pairs :]) for w in (p.weight, q.weight)
-            )
+            (p_alone, p), (q_alone, q) = (x.weight.split([x.in_features - pairs, pairs], 1) for x in (p, q))
             yield torch.cat([p_alone, (p + q) * SQRT_HALF], 1), torch.cat([q_alone, (p - q) * SQRT_HALF], 1)
 
     def parts(self, x: torch.Tensor) -> torch.Tensor:
@@ -131,8 +123,7 @@ class EquivariantMLP(nn.Module):
 
     def forward(self, parts: torch.Tensor) -> torch.Tensor:
         """Map :meth:`parts` of the input to the output, (n, n_in) -> (n, n_out)."""
-        n_even = self.own[0].in_features
-        even, odd = parts[:, :n_even], parts[:, n_even:]
+        even, odd = parts.split([self.own[0].in_features, self.other[0].in_features], 1)
         for layer, (w_even, w_odd) in zip(self.own, self.blocks(), strict=True):
             even, odd = nn.functional.linear(even, w_even, layer.bias), nn.functional.linear(odd, w_odd)
             u, v = nn.functional.elu(even + odd), nn.functional.elu(even - odd)
@@ -155,11 +146,8 @@ class EquivariantMLP(nn.Module):
         for last in self.last[1:]:
             weight += self.join[n_even:].T @ last.weight @ odd_in
         layers.append((weight, self.last[0].bias @ self.join[:n_even]))
-        return {
-            f"{i}.{name}": x.numpy()
-            for i, layer in enumerate(layers)
-            for name, x in zip(("weight", "bias"), layer, strict=True)
-        }
+        names = [f"{i}.{part}" for i in range(len(layers)) for part in ("weight", "bias")]
+        return dict(zip(names, (x.numpy() for layer in layers for x in layer), strict=True))
 
 
 class ActorCritic(nn.Module):

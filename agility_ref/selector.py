@@ -18,8 +18,7 @@ from agility_ref.terrain import SKILLS
 
 import numpy as np
 
-Chooser = Callable[[np.ndarray, Go1Env], np.ndarray]
-"""(observation (N, 184), env) -> skill index (N,)."""
+Chooser = Callable[[np.ndarray, Go1Env], np.ndarray]  # (observation (N, 184), env) -> skill index (N,)
 
 # The specialist that stands in for a skill where a bank lacks one of its own.
 SUBSTITUTE = {"climb-up": "climb", "climb-down": "climb", "beam": "walk"}

@@ -110,10 +110,8 @@ class Simulation:
         self.batch.reset(keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self.home, self._start = self.models[0].key_qpos[0].copy(), self.batch.state[0].copy()
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
-        self.ctrl = self.batch.bind("ctrl")
-        self.sensors = self.batch.bind("sensordata")
-        self.foot_pos = self.batch.bind("site_xpos")
-        self.torque = self.batch.bind("actuator_force")
+        self.ctrl, self.sensors = self.batch.bind("ctrl"), self.batch.bind("sensordata")
+        self.foot_pos, self.torque = self.batch.bind("site_xpos"), self.batch.bind("actuator_force")
         self.errors = 0
 
     def columns(self, names: tuple[str, ...]) -> np.ndarray:
