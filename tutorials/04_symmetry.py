@@ -171,6 +171,12 @@ print(f"first layer: {first} weights instead of {184 * 256}; all layers: {own} n
 # ordinary layers (`dense`), which is what a checkpoint holds: the symmetry is in the values of its weights.
 #
 # </details>
+#
+# One more thing is hidden in `EquivariantMLP`.  Its hidden layers do not learn $W_e$ and $W_o$ but
+# $P = (W_e + W_o)/\sqrt 2$ and $Q = (W_e - W_o)/\sqrt 2$, the weights of the dense layer that they make.  For the function
+# this makes no difference.  For Adam it does: it gives the smallest gradient a full step, and the $W_o$ of ground that is the
+# same on both sides would grow on noise alone.  `climb` reached 0.79 of its waypoints that way, and 0.93 this way
+# (docs/training.md).
 
 # %% [markdown]
 # ## 4.4 What it is worth
