@@ -127,7 +127,7 @@ def test_shapes_and_ends(five_skills):
             return super().act(observation, env)
 
     played = episodes_of(Jump("jump", tuple(five_skills.values()), lambda o, env: np.full(len(o), 1), np.arange(5)))
-    assert [len(e) for e in played] == [3, 30, 30]
+    assert len(played[0]) == 3 and max(map(len, played)) == 30  # 0.6 s
     np.testing.assert_array_equal(side_by_side(played, "skill", -1)[:, 0], [1] * 3 + [-1] * 27)
     assert side_by_side(played, "qvel").shape == (30, 3, 18) and not side_by_side(played, "qvel")[3:, 0].any()
     assert played[0].skills == tuple(SKILLS) and played[0].dt == 0.02
