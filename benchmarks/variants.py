@@ -10,6 +10,7 @@ the observation or the networks need `evaluate` under the same name, and a `walk
 import sys
 
 from agility_ref import networks, observation, policy, ppo
+from agility_ref.env import Go1Env
 from agility_ref.errors import unknown_name
 from agility_ref.observation import SCANDOTS, Mirror
 
@@ -23,8 +24,6 @@ SCANDOT_PAIRS = 1 / 4  # share of the first layer that is for scandots alone
 
 def near_starts() -> None:
     """Start up to 1 m nearer to the first obstacle in training."""
-    from agility_ref.env import Go1Env
-
     original = Go1Env._start_pose
 
     def start_pose(env, n):
@@ -38,8 +37,6 @@ def near_starts() -> None:
 
 def growing_pushes() -> None:
     """Let pushes grow from half to full strength over the first GROWING_STEPS."""
-    from agility_ref.env import Go1Env
-
     original = Go1Env._push
 
     def push(env, direction):
@@ -117,7 +114,6 @@ def _sees_more(actor_too: bool) -> None:
     observation.OBS_MIRROR = Mirror(
         np.append(old.index, before + np.arange(extra)), np.append(old.sign, np.ones(extra, np.float32))
     )
-    from agility_ref.env import Go1Env
     from agility_ref.training import state
 
     observe, init, load = Go1Env._observe, networks.ActorCritic.__init__, state._load_network
