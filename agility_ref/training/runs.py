@@ -163,7 +163,7 @@ def _prepare(spec: PolicySpec, config: TrainConfig, quiet: bool, draw: Draw | No
     for other in requirements(spec.name) if config.warm_start else spec.skills + spec.teachers:
         own = run_folder(config.root, other, config.seed)
         found = None if unfinished(own) else find_weights(other, config)
-        # Shipped weights that are older than symmetric networks act, but nothing can start from them.
+        # Weights whose network has an older form act, but nothing can start from them.
         starts = other != spec.warm_start or own.exists() or (found and has_blocks(read_npz(found)[0]))
         if found is None or not starts:
             theirs = replace(config, steps=0, overwrite=False)
@@ -299,7 +299,7 @@ def _resume_or_warm_start(
         arrays, meta = read_npz(source)
         check_interface(source, meta, config.env)
         if not has_blocks(arrays):
-            raise UserError(f"{source} holds a network without symmetry; train {spec.warm_start} anew, with --out")
+            raise UserError(f"{source} holds a network of an older form; train {spec.warm_start} anew, with --out")
         hidden = tuple(meta.get("config", {}).get("ppo", {}).get("hidden", config.ppo.hidden))
         if hidden != tuple(config.ppo.hidden):
             raise UserError(

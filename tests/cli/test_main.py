@@ -418,4 +418,4 @@ def test_a_start_from_a_network_without_symmetry_is_one_line(refuses, tmp_path, 
     dense = {name: array for name, array in arrays.items() if not name.startswith(("net.", "optimizer."))}
     write_npz(path, dense, {key: meta[key] for key in meta if key != "schema"})
     command = f"train climb --out {tmp_path} --ppo.hidden 16 --ppo.num-envs 2 --curriculum.num-levels 1"
-    refuses(command, f"{path} holds a network without symmetry; train walk anew, with --out")
+    refuses(command, f"{path} holds a network of an older form; train walk anew, with --out")

@@ -551,7 +551,7 @@ def test_nothing_starts_from_a_network_without_symmetry(config, tmp_path):
     path = plain(tmp_path)
     with pytest.raises(UserError) as refusal:
         train_policy("climb", config, quiet=True)
-    assert str(refusal.value) == f"{path} holds a network without symmetry; train walk anew, with --out"
+    assert str(refusal.value) == f"{path} holds a network of an older form; train walk anew, with --out"
     assert isinstance(load_policy("walk", config), Single)  # which acts as ever
 
 
