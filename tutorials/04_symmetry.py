@@ -172,10 +172,10 @@ print(f"first layer: {first} weights instead of {184 * 256}; all layers: {own} n
 #
 # </details>
 #
-# One more thing is hidden in `EquivariantMLP`.  Its hidden layers do not learn $W_e$ and $W_o$ but
-# $P = (W_e + W_o)/\sqrt 2$ and $Q = (W_e - W_o)/\sqrt 2$, the weights of the dense layer that they make.  For the function
-# this makes no difference.  For Adam it does: it gives the smallest gradient a full step, and the $W_o$ of ground that is the
-# same on both sides would grow on noise alone.  `climb` reached 0.79 of its waypoints that way, and 0.93 this way
+# One more thing is hidden in `EquivariantMLP`.  For inputs that come in pairs, left and right, its hidden layers do not learn $W_e$ and
+# $W_o$ but $P = (W_e + W_o)/\sqrt 2$ and $Q = (W_e - W_o)/\sqrt 2$, the weights of the dense layer that they make.  For the function
+# this makes no difference.  For Adam it does, because Adam gives even the smallest gradient a full step.  On ground that is nearly
+# the same on both sides the gradient of $W_o$ is almost pure noise, and $W_o$ would grow on that noise alone.  `climb` reached 0.79 of its waypoints that way, and 0.93 this way
 # (docs/training.md).
 
 # %% [markdown]

@@ -59,7 +59,7 @@ settings = EvaluationConfig(episodes=24, preset="quick")
 # and a new frontier starts with $q = 0.4$.  Some episodes are played on easier levels, against forgetting; they do not count.
 #
 # **Predict, then run.**  Forget the robot for a moment and invent one that always reaches 93 % of the waypoints on level 0,
-# and 10 % fewer on each further level.  At which level does the frontier come to rest?
+# and 10 percentage points fewer on each further level.  At which level does the frontier come to rest?
 
 # %%
 rules = CurriculumConfig()

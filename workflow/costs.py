@@ -2,7 +2,7 @@
 
 With ``--steps-per-second 2500`` a training takes its own steps, without those of its warm start, at that speed.
 Otherwise every training takes one core for the median of the wall times that the manifest of the shipped weights records
-for its policy (they were taken with one training per core).  Every cell takes CELL minutes.  A job starts as
+for its policy (each had one core at most).  Every cell takes CELL minutes.  A job starts as
 soon as a core is free and everything it needs is there; the longest remaining chain goes first.
 """
 
