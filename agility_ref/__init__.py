@@ -3,7 +3,8 @@
 The files of this folder are the paper, in the order terrain, world, go1, simulation, rewards,
 observation, env, curriculum, policy, networks, ppo, selector, evaluate: each imports only from
 those before it (and from errors, stats and files).  Four rooms hold the rest, each of which imports
-only from the core and the rooms before it: training, pictures, results, cli.
+only from the core and the rooms before it: training, pictures, results, cli.  gym is the adapter
+for Gymnasium, over the core and pictures.
 """
 
 import os

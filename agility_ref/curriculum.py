@@ -39,12 +39,12 @@ class CurriculumConfig:
     score_step: float = 0.04  # share by which one episode moves the score; usual 0.02 to 0.1
     easy_share: float = 0.3  # share of episodes at or below the frontier, against forgetting; 0 to 0.5
     top_easy_share: float = 0.625  # the same once the frontier is the top; 0 to 0.8
-    kind_floor: float = 0.1  # a kind is drawn with this weight plus its distance from the top; inf: evenly
+    kind_floor: float = 0.1  # a kind is drawn with this weight plus its distance from the top; above 0, inf: evenly
     enabled: bool = True  # False draws every level uniformly, the ablation of section 4.2
 
     def __post_init__(self):
         require_at_least(1, MANY, num_levels=self.num_levels, variants=self.variants)
-        require_at_least(0, kind_floor=min(self.kind_floor, 1.0))  # which may be inf
+        require_at_least(1e-3, kind_floor=min(self.kind_floor, 1.0))  # at the top it is all that is left; may be inf
 
 
 def level_difficulties(kind: str, max_difficulty: float, num_levels: int) -> np.ndarray:

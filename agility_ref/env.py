@@ -32,7 +32,7 @@ class EnvConfig:
     action_limit: float = 4.0  # actions are clipped to +- this; 4 x 0.3 = 1.2 rad, the original's limit
     action_repeat: int = 1  # control steps for which an action is held, the paper's "action stacking" ablation; 1 to 5
     episode_seconds: float = 20.0  # an episode is truncated after this time [s]
-    command_low: float = 0.7  # lowest commanded speed [m/s]; the original's 0.3 times out before the end of a course
+    command_low: float = 0.7  # lowest commanded speed [m/s]; at the original's 0.3 time is up before the course ends
     command_high: float = 1.0  # highest commanded speed [m/s]; original 0.8
     waypoint_radius: float = 0.2  # a waypoint counts while the trunk's xy is within this distance [m]
     waypoint_seconds: float = 0.1  # ... and is reached after staying there for this long [s]

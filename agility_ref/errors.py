@@ -31,12 +31,12 @@ def require_at_least(least: float, most: float = float("inf"), /, **given: float
 
 def require_pairs(hidden: tuple[int, ...]) -> None:
     """Refuse layers of an odd number of units with a UserError: half of them see the mirrored world."""
-    if any(not 2 <= units <= MANY or units % 2 for units in hidden):
-        raise UserError(f"hidden must be even numbers of units, for they come in pairs, not {hidden}")
+    if not hidden or any(not 2 <= units <= MANY or units % 2 for units in hidden):
+        raise UserError(f"hidden must be one or more even numbers of units, for they come in pairs, not {hidden}")
 
 
-def one_line(error: BaseException) -> str:
-    r"""Return what an error says, without line breaks and whatever else a file may have put into it.
+def one_line(error: object) -> str:
+    r"""Return what an error or a name says, without line breaks and whatever else a file may have put into it.
 
     >>> one_line(ValueError("no array\n\x1b[2J of that name"))
     'no array [2J of that name'

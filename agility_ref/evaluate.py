@@ -20,7 +20,7 @@ from functools import lru_cache
 
 from agility_ref.curriculum import hardest
 from agility_ref.env import EnvConfig, Go1Env
-from agility_ref.errors import MAX_SEED, UserError, require_at_least, unknown_name
+from agility_ref.errors import MANY, MAX_SEED, UserError, require_at_least, unknown_name
 from agility_ref.selector import Hierarchy, Single
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS, Course, make_course
 from agility_ref.world import World
@@ -49,7 +49,7 @@ class EvaluationConfig:
         if self.protocol not in PROTOCOLS:
             raise unknown_name("protocol", self.protocol, PROTOCOLS)
         require_at_least(0, MAX_SEED, seed=self.seed)
-        require_at_least(1, episodes=self.episodes)
+        require_at_least(1, MANY, episodes=self.episodes)
         if self.difficulty is not None and not 0.0 <= self.difficulty <= 1.0:
             raise UserError(f"difficulty must be between 0 and 1, not {self.difficulty}")
 

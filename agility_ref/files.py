@@ -26,7 +26,7 @@ from agility_ref.errors import UserError
 
 import numpy as np
 
-PARTIAL = ".partial"  # the end of every temporary name
+PARTIAL = ".partial"  # in every temporary name, before the suffix, which says what is written
 MAX_TEXT = 64 * 2**20  # bytes of a text file that is read; the longest of ours, a progress.csv, has a few
 
 SCHEMA = "agility_ref/1"
@@ -41,28 +41,28 @@ MAX_ARRAYS = 1000
 
 
 @contextmanager
-def replacing(path: Path, mode: str = "wb", **options) -> Iterator[IO]:
-    """Open a file that takes the place of ``path`` when the block ends, and vanishes when it fails.
-
-    Parameters
-    ----------
-    path : of the file
-    mode, options : as of ``open``
-    """
+def replacing_path(path: Path) -> Iterator[Path]:
+    """Yield a name to write to; that file takes the place of ``path`` when the block ends, and vanishes when it fails."""
     path = Path(path)
-    own = path.with_name(f"{path.name}.{os.getpid()}-{os.urandom(4).hex()}{PARTIAL}")
+    own = path.with_name(f"{path.stem}.{os.getpid()}-{os.urandom(4).hex()}{PARTIAL}{path.suffix}")
     try:
-        with open(own, mode, **options) as file:
-            yield file
+        yield own
         os.replace(own, path)
     except BaseException:
         own.unlink(missing_ok=True)
         raise
 
 
+@contextmanager
+def replacing(path: Path, mode: str = "wb", **options) -> Iterator[IO]:
+    """Open a file that takes the place of ``path`` as with :func:`replacing_path`; ``mode`` and ``options`` as of ``open``."""
+    with replacing_path(path) as own, open(own, mode, **options) as file:
+        yield file
+
+
 def remove_partials(folder: Path) -> None:
     """Delete what killed processes left half written in a folder that nobody else writes into."""
-    for left in Path(folder).glob(f"*{PARTIAL}"):
+    for left in Path(folder).glob(f"*.*-*{PARTIAL}*"):
         left.unlink(missing_ok=True)
 
 

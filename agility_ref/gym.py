@@ -89,7 +89,7 @@ class Go1VectorEnv(VectorEnv):
         return self._obs.copy(), {}
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
-        """Advance every robot; raises ValueError for actions of the wrong shape or not finite."""
+        """Advance every robot; raises ValueError for actions of the wrong shape, UserError for those that are not finite."""
         waiting, same_step, info = self._done, self.autoreset_mode is AutoresetMode.SAME_STEP, {}
         if self.autoreset_mode is AutoresetMode.DISABLED and waiting.any():
             raise ValueError(f"robots {np.flatnonzero(waiting).tolist()} are done: reset them before the next step")
@@ -132,7 +132,7 @@ class Go1GymEnv(gymnasium.Env):
         return self._one.reset(seed=seed)[0][0], {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
-        """Advance the robot; raises ValueError for an action of the wrong shape or not finite."""
+        """Advance the robot; raises ValueError for an action of the wrong shape, UserError for one that is not finite."""
         obs, *numbers, info = self._one.step(np.asarray(action)[None])
         return obs[0], *(x[0].item() for x in numbers), row(info, 0)
 

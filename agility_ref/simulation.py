@@ -12,7 +12,7 @@ Out: poses, velocities, contacts and torques, as views of the simulator's memory
 
 import os
 
-from agility_ref.errors import UserError
+from agility_ref.errors import MANY, UserError
 from agility_ref.go1 import PhysicsConfig, make_model
 from agility_ref.terrain import Course
 
@@ -98,7 +98,7 @@ class Simulation:
         num_threads : 0 for what AGILITY_REF_THREADS says, else all cores; results do not depend on it
         """
         shared = os.environ.get("AGILITY_REF_THREADS", "0")  # for jobs that share a machine
-        if not shared.isdecimal():
+        if not shared.isdecimal() or int(shared) > MANY:
             raise UserError(f"AGILITY_REF_THREADS is a number of threads, not {shared!r}")
         num_boxes = max(len(course.boxes) for course in courses)
         self.models = [

@@ -14,6 +14,7 @@ from unittest.mock import patch
 from agility_ref import world
 from agility_ref.curriculum import CurriculumConfig, hardest, training_world
 from agility_ref.env import Go1Env
+from agility_ref.errors import unknown_name
 from agility_ref.pictures import record
 from agility_ref.selector import Hierarchy
 from agility_ref.stats import paired_difference
@@ -97,6 +98,9 @@ def choose(oracle: Hierarchy, skill: str, config: Config) -> dict:
 
 
 def main(config: Config) -> None:
+    for skill in config.skills:
+        if skill not in KINDS:
+            raise unknown_name("skill", skill, KINDS)
     started = machine()
     oracle = load_policy("oracle", TrainConfig(preset=config.preset, seed=config.seed, out=config.runs))
     found = [choose(oracle, skill, config) for skill in config.skills]

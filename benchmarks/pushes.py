@@ -12,6 +12,7 @@ the second to the third is the price of being struck in the air.
 from dataclasses import asdict, dataclass
 
 from agility_ref.env import EnvConfig, Go1Env
+from agility_ref.errors import UserError
 from agility_ref.evaluate import (
     EvaluationConfig,
     evaluation_env,
@@ -143,6 +144,8 @@ def show(rows: list[dict]) -> list[dict]:
 def main(config: Config) -> None:
     for name in config.policies:
         check_skill(name)
+        if len(find_policy(name).courses) > 1:
+            raise UserError(f"{name} is no specialist: it has several kinds of course")
     for difficulty in config.difficulties:
         EvaluationConfig(config.episodes, config.seed, difficulty=difficulty)  # refuses what cannot be played
     started = machine()

@@ -27,7 +27,7 @@ from agility_ref.training.runs import TrainConfig
 
 import numpy as np
 from common import machine, report, start
-from learning import check_skill, tell
+from learning import tell
 
 SKILLS = tuple(name for name, spec in POLICIES.items() if spec.method == "ppo")
 SPECIALISTS = {POLICIES[name].courses[0]: name for name in SKILLS if len(POLICIES[name].courses) == 1}
@@ -238,7 +238,8 @@ def generalist_rows(figures: list[dict]) -> list[dict]:
 
 def main(config: Config) -> None:
     for name in config.policies:
-        check_skill(name)
+        if find_policy(name).method != "ppo":
+            raise UserError(f"{name} is no specialist or generalist; give one of {', '.join(SKILLS)}")
     started = machine()
     policies = load(config)
     played = play(policies, config)

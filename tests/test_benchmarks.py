@@ -35,6 +35,7 @@ import common
 import evaluation_seeds
 import fidelity
 import learning
+import oracle_regions
 import physics
 import pushes
 import skills_table
@@ -419,6 +420,10 @@ def test_skills_table_plays_what_there_is(tiny, tmp_path, capsys, finished_run):
         assert len(list(csv.DictReader(file))) == 2 * 6
     with pytest.raises(UserError, match="no weights for beam"):
         skills_table.main(replace(config, policies=("beam",)))
+    with pytest.raises(UserError, match=r"oracle is no specialist or generalist; give one of .*post-gen"):
+        skills_table.main(replace(config, policies=("oracle",)))
+    with pytest.raises(UserError, match="no weights for post-gen"):  # which is one, and nothing here trains it
+        skills_table.main(replace(config, policies=("post-gen",)))
 
 
 # --- two evaluations ----------------------------------------------------------------------
@@ -493,6 +498,13 @@ def test_a_fall_is_put_down_to_the_pushes_shortly_before_it():
     fell[4, 0] = True  # robot 1 never falls
     soon = pushes.falls_soon(fell, 2)
     assert soon[:, 0].tolist() == [False, False, True, True, True, False] and not soon[:, 1].any()
+
+
+def test_pushes_and_regions_are_of_specialists():
+    with pytest.raises(UserError, match="gen-3 is no specialist"):
+        pushes.main(pushes.Config(policies=("gen-3",)))
+    with pytest.raises(UserError, match="unknown skill 'walk'"):
+        oracle_regions.main(oracle_regions.Config(skills=("walk",)))
 
 
 def test_only_a_push_that_is_due_in_the_air_waits():

@@ -27,7 +27,7 @@ def test_there_may_be_a_greatest_too():
 
 @pytest.mark.parametrize(
     "hidden, right",
-    [((), True), ((2,), True), ((64, 8), True), ((0,), False), ((64, 7), False), ((MANY + 2,), False), ((-2,), False)],
+    [((), False), ((2,), True), ((64, 8), True), ((0,), False), ((64, 7), False), ((MANY + 2,), False), ((-2,), False)],
 )
 def test_units_come_in_pairs(hidden, right):
     with contextlib.nullcontext() if right else pytest.raises(UserError, match="come in pairs"):

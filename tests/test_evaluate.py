@@ -121,6 +121,7 @@ def test_more_episodes_keep_the_first_courses():
     ("gap", {"preset": "ful"}, "unknown preset"),
     ("gap", {"protocol": "published"}, "unknown protocol 'published': did you mean as-published"),
     ("gap", {"episodes": 0}, "episodes must be a number of at least 1, not 0"),
+    ("gap", {"episodes": 2**24 + 1}, "episodes must be at most 1.67772e\\+07, not 16777217"),
     ("gap", {"seed": -1}, "seed must be a number of at least 0, not -1"),
     ("gap", {"difficulty": 1.5}, "difficulty must be between 0 and 1, not 1.5"),
 ])  # fmt: skip

@@ -51,7 +51,7 @@ def test_others_may_read_what_is_written(tmp_path):
 
 
 def test_what_a_dead_process_left_is_removed_and_nothing_else(tmp_path):
-    for name in ("policy.npz", "policy.npz.12-ab.partial", "notes.partial.txt"):
+    for name in ("policy.npz", "policy.12-ab.partial.npz", "notes.partial.txt"):
         (tmp_path / name).touch()
     remove_partials(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"policy.npz", "notes.partial.txt"}

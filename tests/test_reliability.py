@@ -101,7 +101,7 @@ def test_a_full_disk_is_one_line_and_the_last_policy_stays(tmp_path, bytes_left)
     done = run(*W, cwd=tmp_path, stdout=subprocess.DEVNULL, preexec_fn=limit)
     lines = [line for line in done.stderr.splitlines() if line.startswith("agility-ref:")]
     assert done.returncode == 2 and len(lines) == 1 and "Traceback" not in done.stderr
-    assert not list(tmp_path.rglob("*.partial"))
+    assert not list(tmp_path.rglob("*.partial*"))
 
 
 def test_a_read_only_folder_is_one_line(tmp_path):

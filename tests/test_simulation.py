@@ -148,7 +148,7 @@ def test_threads_can_be_set_from_outside(monkeypatch):
         monkeypatch.setenv("AGILITY_REF_THREADS", text)
         Simulation([make_course("walk", 0.5, 0)], 1, PhysicsConfig(), CONDITIONS[:1])
     assert asked == [0, 2]
-    for text in ("many", "-1", ""):
+    for text in ("many", "-1", "", "99999999999"):
         monkeypatch.setenv("AGILITY_REF_THREADS", text)
         with pytest.raises(UserError, match="AGILITY_REF_THREADS"):
             Simulation([make_course("walk", 0.5, 0)], 1, PhysicsConfig(), CONDITIONS[:1])

@@ -109,6 +109,18 @@ def test_costs_at_a_given_speed(monkeypatch):
     assert (costs.schedule(jobs, 1), costs.schedule(jobs, 2)) == (60.0, 40.0)
 
 
+@pytest.mark.parametrize("words, says", [
+    ("cell.py fly gap --preset quick --seed 0 --episodes 1 --runs runs --results results", "unknown policy 'fly'"),
+    ("table.py fly:gap --preset quick --seeds 0 --episodes 1 --runs runs --results results", "unknown policy 'fly'"),
+    ("costs.py --preset fast", "invalid choice: 'fast'"),
+])  # fmt: skip
+def test_mistakes_are_one_line_after_the_usage(tmp_path, words, says):
+    script, *rest = words.split()
+    process = subprocess.run([sys.executable, WORKFLOW / script, *rest], cwd=tmp_path, capture_output=True, text=True)
+    assert process.returncode == 2 and "Traceback" not in process.stderr
+    assert process.stderr.splitlines()[-1].startswith(f"{script}: error: ") and says in process.stderr.splitlines()[-1]
+
+
 def test_unknown_policy_is_named(tmp_path):
     process = snakemake(tmp_path, "--dry-run", "table1", config=TINY | {"policies": ["fly"]})
     assert process.returncode != 0 and "unknown policy" in process.stdout + process.stderr

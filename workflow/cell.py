@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from agility_ref.errors import UserError
 from agility_ref.evaluate import EvaluationConfig
 from agility_ref.results.cells import enter, find_cell
 from agility_ref.training.bank import WeightsConfig
@@ -17,6 +18,9 @@ if __name__ == "__main__":
     parser.add_argument("--runs", required=True, help="folder of runs")
     parser.add_argument("--results", type=Path, required=True, help="folder of the table")
     args = parser.parse_args()
-    entrant = enter(args.policy, WeightsConfig(preset=args.preset, seed=args.seed, out=args.runs))
-    config = EvaluationConfig(episodes=args.episodes, seed=1, preset=args.preset)
-    find_cell(entrant, args.environment, config, args.results / "cells")
+    try:
+        entrant = enter(args.policy, WeightsConfig(preset=args.preset, seed=args.seed, out=args.runs))
+        config = EvaluationConfig(episodes=args.episodes, seed=1, preset=args.preset)
+        find_cell(entrant, args.environment, config, args.results / "cells")
+    except UserError as error:
+        parser.error(str(error))

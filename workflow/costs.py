@@ -11,6 +11,7 @@ import heapq
 import statistics
 from collections.abc import Sequence
 
+from agility_ref.curriculum import PRESETS
 from agility_ref.results.table1 import table_lines
 from agility_ref.training.policies import POLICIES, find_policy, requirements
 from agility_ref.training.weights import manifest
@@ -111,7 +112,7 @@ def minutes_table(preset: str = "full", speed: float = 0.0) -> str:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--preset", default="full")
+    parser.add_argument("--preset", default="full", choices=tuple(PRESETS))
     parser.add_argument("--seeds", type=int, nargs="+", default=(3, 10), help="how many training seeds")
     parser.add_argument("--cores", type=int, nargs="+", default=(2, 32, 512))
     parser.add_argument("--steps-per-second", type=float, default=0.0, help="of one training on one core")

@@ -34,11 +34,14 @@ if __name__ == "__main__":
     parser.add_argument("--runs", required=True, help="folder of runs")
     parser.add_argument("--results", type=Path, required=True, help="folder of the table")
     args = parser.parse_args()
-    config = EvaluationConfig(episodes=args.episodes, seed=1, preset=args.preset)
     cells = {}
-    for seed in args.seeds:
-        training = WeightsConfig(preset=args.preset, seed=seed, out=args.runs)
-        for policy, environment in (cell.split(":") for cell in args.cells):
-            cells[policy, environment, seed] = stored(policy, environment, training, config, args.results / "cells")
+    try:
+        config = EvaluationConfig(episodes=args.episodes, seed=1, preset=args.preset)
+        for seed in args.seeds:
+            training = WeightsConfig(preset=args.preset, seed=seed, out=args.runs)
+            for policy, environment in (cell.split(":") for cell in args.cells):
+                cells[policy, environment, seed] = stored(policy, environment, training, config, args.results / "cells")
+    except UserError as error:
+        parser.error(str(error))
     rows = table1.table_rows(cells)
     table1.write_all(rows, args.results, table1.title(config, rows))

@@ -30,7 +30,7 @@ class Export:
 
 def export(args: Export) -> None:
     """Export one policy."""
-    from agility_ref.errors import unknown_name
+    from agility_ref.errors import one_line, unknown_name
     from agility_ref.policy import Policy as NumpyPolicy
     from agility_ref.training.bank import WeightsConfig, existing, weights_path
     from agility_ref.training.export import FORMS, SUFFIXES, export_policy
@@ -46,11 +46,12 @@ def export(args: Export) -> None:
         config = WeightsConfig(preset=args.preset, seed=args.train_seed, out=existing(args.runs))
         path = weights_path(args.policy, config)
     policy = NumpyPolicy.load(path)
-    out = Path(args.out or f"{policy.name}{SUFFIXES[args.format]}")
+    name = one_line(policy.name)
+    out = Path(args.out or one_line(Path(name).name) + SUFFIXES[args.format])  # here, whatever a file calls itself
     if out.resolve() == path.resolve():
         raise UserError(f"{out} is the policy itself: give another --out")
     difference = export_policy(policy, out, args.format)
-    print(f"wrote {out}: {policy.name} from {path}, actions within {difference:.1g} of the numpy policy's")
+    print(f"wrote {out}: {name} from {path}, actions within {difference:.1g} of the numpy policy's")
 
 
 @dataclass(frozen=True)

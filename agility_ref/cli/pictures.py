@@ -96,11 +96,18 @@ def plot_run(options: Run) -> None:
     """Draw learning_curve.png in each run folder."""
     from agility_ref.pictures.plots import learning_curve
 
+    if not options.runs:
+        raise UserError("name at least one run folder")
+    empty = []
     for run in map(Path, options.runs):
         if not (run / "progress.csv").is_file():
             raise UserError(f"{run} holds no progress.csv")
         if learning_curve(run / "progress.csv", run / "learning_curve.png", run.parent.name):
             print(run / "learning_curve.png")
+        else:
+            empty.append(str(run))
+    if empty:
+        raise UserError(f"no returns to draw in {', '.join(empty)}: learned by imitation, or without an iteration yet")
 
 
 @dataclass(frozen=True)

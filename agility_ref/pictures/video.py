@@ -15,7 +15,8 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from agility_ref.errors import UserError
+from agility_ref.errors import UserError, require_at_least
+from agility_ref.files import replacing_path
 from agility_ref.pictures.plots import made_with, skill_colour
 from agility_ref.terrain import NUM_WAYPOINTS
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
     import mujoco
 
+MAX_SIDE = 16_384  # [pixels] as far as OpenGL draws
 LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}  # Debian's names, in order
 ADVICE = (
     "no OpenGL without a display here; on Debian: apt install libegl1 libgl1 (or libosmesa6); "
@@ -89,6 +91,7 @@ def check_video(config: VideoConfig, out: Path | None = None) -> None:
     for what in ("width", "height", "fps", "speed", "seconds"):
         if not getattr(config, what) > 0:
             raise UserError(f"{what} must be above 0, got {getattr(config, what)}")
+    require_at_least(1, MAX_SIDE, width=config.width, height=config.height)
     if not 0 <= config.start < float("inf"):
         raise UserError(f"start must be at least 0 and finite, got {config.start}")
     if not config.fps / config.speed <= 1000:
@@ -187,14 +190,9 @@ def write_video(images: Iterator[np.ndarray], out: Path, config: VideoConfig, co
     if first is None:
         raise UserError("nothing to film: --start lies behind the end of the episode")
     out.parent.mkdir(parents=True, exist_ok=True)
-    partial = out.with_name(f"partial-{out.name}")  # a film that is there stays whole until this one is
-    try:
+    with replacing_path(out) as partial:  # a film that is there stays whole until this one is
         write = _write_mp4 if out.suffix == ".mp4" else _write_pictures
-        count = write(chain([first], images), partial, config, command)
-        os.replace(partial, out)
-    finally:
-        partial.unlink(missing_ok=True)
-    return count
+        return write(chain([first], images), partial, config, command)
 
 
 def _write_pictures(images: Iterator[np.ndarray], out: Path, config: VideoConfig, command: str) -> int:

@@ -21,6 +21,7 @@ from agility_ref.curriculum import hardest
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.errors import UserError, unknown_name
 from agility_ref.evaluate import EvaluationConfig
+from agility_ref.files import write_text
 from agility_ref.pictures.loopback import LOOPBACK, refusing_strangers
 from agility_ref.pictures.plots import skill_colour
 from agility_ref.pictures.record import Episode
@@ -286,7 +287,8 @@ def serve(
             steps += 1
             if steps % 25 == 0:
                 rate, counted = 25 / (time.monotonic() - counted), time.monotonic()
-                status.content = f"{session.status()}\n\n{rate:.0f} control steps/s; real time is {1 / dt:.0f}"
+                pace = "paused" if session.paused else f"{rate:.0f} control steps/s; real time is {1 / dt:.0f}"
+                status.content = f"{session.status()}\n\n{pace}"
             tick = max(tick + dt, time.monotonic() - 5 * dt)  # catch up a little, never a lot
             time.sleep(max(tick - time.monotonic(), 0.0))
     finally:
@@ -313,7 +315,7 @@ def clip(episode: Episode, out: Path, seconds: float = 10.0, fps: int = 25) -> P
             serializer.insert_sleep(stride * episode.dt)
         out = Path(out)
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(serializer.as_html(), encoding="utf-8")
+        write_text(out, serializer.as_html())
     finally:
         close(server)
     return out

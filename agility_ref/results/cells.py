@@ -158,8 +158,8 @@ def switches_per_second(skill: np.ndarray, dt: float) -> np.ndarray:
 def commonest_share(skill: np.ndarray) -> np.ndarray:
     """Share of each episode's steps that its own commonest skill took: (T, N) -> (N,).
 
-    A course of one obstacle may rightly be played by one skill; :func:`agility_ref.results.diagnosis.commonest`
-    pools all episodes.
+    A course of one obstacle may rightly be played by one skill; ``commonest`` of
+    :func:`agility_ref.results.diagnosis.diagnose` pools all episodes.
     """
     counts = np.stack([(skill == k).sum(axis=0) for k in range(skill.max() + 1)])
     return counts.max(axis=0) / counts.sum(axis=0)

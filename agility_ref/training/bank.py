@@ -134,15 +134,27 @@ def check_interface(source: Path, meta: dict, env: EnvConfig) -> None:
     ------
     UserError : names the file and the field that differs
     """
-    trained = as_flags(meta.get("config", {}).get("env", {}))
-    here = as_flags(asdict(env))
+    trained, here = trained_task(source, meta, env), as_flags(asdict(env))
     for field in ("action-scale", "action-limit", "action-repeat", "physics.kp", "physics.kd"):
-        theirs, ours = trained.get(field, here[field]), here[field]
-        if theirs != ours:
-            raise UserError(f"{source} was trained with env.{field} {theirs}, this task has {ours}")
-    steps = [f["physics.timestep"] * f["physics.substeps"] for f in (here | trained, here)]
+        if trained[field] != here[field]:
+            raise UserError(f"{source} was trained with env.{field} {trained[field]}, this task has {here[field]}")
+    steps = [f["physics.timestep"] * f["physics.substeps"] for f in (trained, here)]
     if not np.isclose(*steps):
         raise UserError(f"{source} was trained to act every {steps[0]:g} s, this task asks every {steps[1]:g} s")
+
+
+def trained_task(source: Path | str, meta: dict, env: EnvConfig) -> dict[str, float]:
+    """Return the flags of the task that a checkpoint's record names; those of ``env`` where it names none.
+
+    Raises
+    ------
+    UserError : names ``source``, whose record holds something else than numbers
+    """
+    recorded, ours = meta.get("config", {}).get("env", {}), as_flags(asdict(env))
+    task = ours | (as_flags(recorded) if isinstance(recorded, dict) else {})
+    if not isinstance(recorded, dict) or not all(isinstance(task[flag], int | float) for flag in ours):
+        raise UserError(f"{source} is damaged: its record has env {str(recorded)[:40]!r}")
+    return task
 
 
 def as_flags(settings: dict, prefix: str = "") -> dict[str, object]:
@@ -200,7 +212,7 @@ def load_skill(path: Path, env: EnvConfig) -> Policy:
 
     Raises
     ------
-    UserError : unreadable, a selector, trained with a clock or with actions that mean something else
+    UserError : unreadable, a selector, or trained with another control period or with actions that mean something else
     """
     policy = Policy.load(path)
     _check_shape(policy, OBS_DIM, ACTION_DIM)

@@ -8,16 +8,17 @@ Out: one file; ``.onnx`` is run before it is kept, and its actions compared with
 """
 
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 from agility_ref import __version__
 from agility_ref.env import EnvConfig
 from agility_ref.errors import UserError, unknown_name
+from agility_ref.files import replacing_path
 from agility_ref.go1 import DEFAULT_DOF_POS, JOINTS
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, observation_slices
 from agility_ref.policy import Policy
+from agility_ref.training.bank import trained_task
 from agility_ref.training.policies import POLICIES
 
 import numpy as np
@@ -33,9 +34,9 @@ UNITS = {  # and frames of what a policy sees; see Go1Env
 
 def describe(policy: Policy) -> dict:
     """Return what goes in and what comes out, with names and units, as a dict that JSON can hold."""
-    task = EnvConfig()
-    trained = policy.meta.get("config", {}).get("env", {})
-    scale, limit = (trained.get(name, getattr(task, name)) for name in ("action_scale", "action_limit"))
+    task = trained_task(policy.name, policy.meta, EnvConfig())
+    scale, limit = task["action-scale"], task["action-limit"]
+    period = task["physics.timestep"] * task["physics.substeps"] * task["action-repeat"]
     if policy.obs_dim == NUM_SCANDOTS:
         parts = {"scandots": slice(0, NUM_SCANDOTS)}
     else:
@@ -47,7 +48,7 @@ def describe(policy: Policy) -> dict:
     else:
         output = {
             "name": "action", "labels": list(JOINTS), "unit": f"{scale:g} rad of joint target from home",
-            "home_rad": DEFAULT_DOF_POS.tolist(), "scale_rad": scale, "clip": limit, "period_s": task.dt,
+            "home_rad": DEFAULT_DOF_POS.tolist(), "scale_rad": scale, "clip": limit, "period_s": period,
         }  # fmt: skip
     return {
         "policy": policy.name, "digest": policy.digest(), "made_with": f"agility_ref {__version__}",
@@ -77,14 +78,9 @@ def export_policy(policy: Policy, out: Path, form: str) -> float:
     if policy.obs_dim not in (OBS_DIM, NUM_SCANDOTS):
         raise UserError(f"{policy.name} sees {policy.obs_dim} numbers, not {OBS_DIM} or {NUM_SCANDOTS}")
     write, load = FORMS[form]
-    partial = out.with_name(f"partial-{out.name}")
-    try:
+    with replacing_path(out) as partial:
         write(policy, describe(policy), partial)
-        difference = compare(policy, load(partial))
-        os.replace(partial, out)
-    finally:
-        partial.unlink(missing_ok=True)
-    return difference
+        return compare(policy, load(partial))
 
 
 def compare(policy: Policy, act: Callable[[np.ndarray], np.ndarray]) -> float:

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from agility_ref.env import Go1Env
-from agility_ref.errors import require_at_least, require_pairs
+from agility_ref.errors import MANY, require_at_least, require_pairs
 from agility_ref.networks import EquivariantMLP, Normalizer
 from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOT_MIRROR, SCANDOT_STD, SCANDOTS, Mirror
 from agility_ref.ppo import PPOConfig
@@ -43,7 +43,7 @@ class SupervisedConfig:
     hidden: tuple[int, ...] = (128, 128)  # 132 x 128 x 128 x n in the paper; even numbers
 
     def __post_init__(self):
-        require_at_least(1, epochs=self.epochs, batch_size=self.batch_size)
+        _check_imitation(self)
         require_pairs(self.hidden)
 
 
@@ -59,7 +59,14 @@ class DistillConfig:
     learning_rate: float = 1e-3  # Adam's step size, falling to zero in each round
 
     def __post_init__(self):
-        require_at_least(1, epochs=self.epochs, batch_size=self.batch_size)
+        _check_imitation(self)
+        require_at_least(0, action_noise=self.action_noise)
+
+
+def _check_imitation(config: SupervisedConfig | DistillConfig) -> None:
+    require_at_least(1, MANY, epochs=config.epochs, batch_size=config.batch_size)
+    require_at_least(0, MANY, dagger_rounds=config.dagger_rounds)
+    require_at_least(1e-9, learning_rate=config.learning_rate)
 
 
 @dataclass(frozen=True)
@@ -79,6 +86,9 @@ class FineTuneConfig:
     anneal_share: float = 1.0
     """KL target and floor fall to zero over this share of the steps, in place of ppo.anneal-share."""
     ent_coef: float = 0.0  # entropy bonus, in place of ppo.ent-coef: there is nothing to be found by wider noise
+
+    def __post_init__(self):
+        require_at_least(1e-9, std=self.std)
 
     def apply(self, ppo: PPOConfig) -> PPOConfig:
         """Return PPO's hyper-parameters for going on: ours where both have a field of the same name."""

@@ -1,6 +1,6 @@
 """Runs: train one named policy into one folder, resumably.
 
-    <out>/<policy>/seed<k>/  config.json  progress.csv  policy.npz  learning_curve.png  DONE
+    <out>/<policy>/seed<k>/  config.json  progress.csv  policy.npz  learning_curve.png (of PPO)  DONE
 
 Files are written under a temporary name and renamed (progress.csv grows a row at a time), DONE last.  A run of PPO that
 was stopped goes on from its folder, the short ones that imitate start anew; a finished one is never overwritten unless
@@ -343,16 +343,16 @@ def _imitate(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool) -
         data.append(collect(env, actor, oracle, share))
         data = [tuple(np.concatenate(part) for part in zip(*data, strict=True))]  # what was seen, what was asked for
         arrays, losses = fit(*data[0])
+        if bad := beyond_use(arrays):
+            raise UserError(
+                f"training has diverged: {bad} is not finite, or huge; try a smaller learning rate, and another --out"
+            )
         states = len(data[0][0])
         meta |= {"steps": states, "wall_seconds": time.monotonic() - start}
         actor = student(Policy.from_arrays(arrays, meta))
         rows += [{"round": k, "states": states, "epoch": e, loss: v} for e, v in enumerate(losses)]
         if not quiet:
             print(f"{spec.name}: round {k}, {states} states, {loss.replace('_', ' ')} {losses[-1]:.4f}", flush=True)
-    if bad := beyond_use(arrays):
-        raise UserError(
-            f"training has diverged: {bad} is not finite, or huge; try a smaller learning rate, and another --out"
-        )
     write_csv(folder / "progress.csv", rows)
     write_npz(folder / "policy.npz", arrays, meta)
     write_text(folder / "DONE", f"{states} states\n")

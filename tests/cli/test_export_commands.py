@@ -1,6 +1,7 @@
 import os
 
 from agility_ref.cli.main import main
+from agility_ref.files import read_npz, write_npz
 
 import mujoco
 import numpy as np
@@ -31,6 +32,19 @@ def test_export_of_a_run_by_name_and_by_file(finished_run, monkeypatch, tmp_path
     with np.load("walk.npz") as a, np.load("b.npz") as b:
         for name in a.files:
             np.testing.assert_array_equal(a[name], b[name])
+
+
+def test_a_file_does_not_say_where_its_export_goes(finished_run, monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    path = finished_run(tmp_path / "runs", "walk") / "policy.npz"
+    arrays, meta = read_npz(path)
+    write_npz(
+        path, arrays, {key: meta[key] for key in meta if key != "schema"} | {"policy": f"{tmp_path}/else/\x1bwhere"}
+    )
+    (tmp_path / "else").mkdir()
+    assert main(["export", str(path), "--format", "npz"]) == 0
+    assert not list((tmp_path / "else").iterdir()) and (tmp_path / "where.npz").exists()
+    assert "\x1b" not in capsys.readouterr().out
 
 
 def test_export_mjcf(monkeypatch, tmp_path, capsys):

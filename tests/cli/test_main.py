@@ -336,12 +336,12 @@ def test_our_own_mistakes_keep_their_traceback(monkeypatch):
         main(["train"])
 
 
-def test_plot_prints_only_what_it_drew(capsys, tmp_path):
+def test_plot_says_of_what_there_is_nothing_to_draw(refuses, tmp_path):
     # The supervised selector's progress has other columns, of which nothing is drawn.
     (tmp_path / "progress.csv").write_text("round,states,epoch,cross_entropy\n0,100,0,0.5\n0,100,1,0.4\n")
-    assert not main(["plot", str(tmp_path)])
-    assert capsys.readouterr().out == ""
+    refuses(f"plot {tmp_path}", f"no returns to draw in {tmp_path}: learned by imitation")
     assert [path.name for path in tmp_path.iterdir()] == ["progress.csv"]
+    refuses("plot run", "name at least one run folder")
 
 
 def test_python_dash_m():
@@ -386,8 +386,13 @@ def test_a_table_is_refused_before_it_is_trained(monkeypatch, capsys):
 @pytest.mark.parametrize("flags, message", [
     ("--ppo.num-envs 0", "num-envs must be a number of at least 1, not 0"),
     ("--ppo.num-envs 2 --ppo.num-steps 3 --ppo.num-minibatches 7", "num-minibatches must be at most 6 steps, not 7"),
-    ("--ppo.hidden 64 7", "hidden must be even numbers of units, for they come in pairs, not (64, 7)"),
-    ("--supervised.hidden 64 7", "hidden must be even numbers of units, for they come in pairs, not (64, 7)"),
+    ("--ppo.hidden 64 7", "hidden must be one or more even numbers of units, for they come in pairs, not (64, 7)"),
+    ("--supervised.hidden 64 7", "hidden must be one or more even numbers of units, for they come in pairs, not (64, 7)"),
+    ("--ppo.hidden", "hidden must be one or more even numbers of units, for they come in pairs, not ()"),
+    ("--distill.dagger-rounds -1", "dagger-rounds must be a number of at least 0, not -1"),
+    ("--distill.batch-size 9223372036854775808", "batch-size must be at most 1.67772e+07, not 9223372036854775808"),
+    ("--supervised.learning-rate -1", "learning-rate must be a number of at least 1e-09, not -1.0"),
+    ("--fine-tune.std 0", "std must be a number of at least 1e-09, not 0.0"),
     ("--supervised.epochs 0", "epochs must be a number of at least 1, not 0"),
     ("--distill.batch-size 0", "batch-size must be a number of at least 1, not 0"),
     ("--seed 9223372036854775808", "seed must be at most 9.22337e+18, not 9223372036854775808"),
@@ -397,7 +402,7 @@ def test_a_table_is_refused_before_it_is_trained(monkeypatch, capsys):
     ("--env.push-interval 1e308", "push-interval must be at most 1e+06, not 1e+308"),
     ("--env.start-noise -1", "start-noise must be a number of at least 0, not -1.0"),
     ("--env.physics.kp nan", "kp must be a number of at least 0, not nan"),
-    ("--curriculum.kind-floor -1", "kind-floor must be a number of at least 0, not -1.0"),
+    ("--curriculum.kind-floor 0", "kind-floor must be a number of at least 0.001, not 0.0"),
     ("--env.noise -1", "noise must be a number of at least 0, not -1.0"),
     ("--env.command-low 0.9 --env.command-high 0.8", "command-high must be a number of at least 0.9, not 0.8"),
     ("--env.physics.substeps 0", "substeps must be a number of at least 1, not 0"),

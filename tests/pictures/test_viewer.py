@@ -159,6 +159,7 @@ def test_both_backends(film, backend):
     ("--start 1000 --out x.mp4", ["--start"]),
     ("--start 1e400", ["start must be at least 0 and finite, got inf"]),
     ("--fps 1" + "0" * 30, ["fps / speed must be at most 1000", "1e+30"]),
+    ("--width 2147483648", ["width must be at most 16384, not 2147483648"]),
     ("--speed 1e-300", ["fps / speed must be at most 1000"]),
 ])  # fmt: skip
 def test_bad_films_are_one_line(film, options, expected):

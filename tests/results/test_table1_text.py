@@ -182,7 +182,7 @@ def test_write_all(ours, tmp_path):
     assert paths[1].read_text().startswith("# A title\n")
     assert paths[2].read_text().startswith("% Needs \\usepackage{booktabs}.\n\\begin{table*}")
     assert paths[3].read_bytes().startswith(b"\x89PNG")
-    assert not list(paths[0].parent.glob("*.partial"))
+    assert not list(paths[0].parent.glob("*.partial*"))
 
 
 def test_every_note_is_used(rows):

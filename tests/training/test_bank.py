@@ -55,6 +55,14 @@ def test_a_policy_of_another_shape_is_refused(config, tmp_path, finished_run):
         load_policy("walk", config)
 
 
+@pytest.mark.parametrize("env", [[], "fast", {"action_scale": "x"}])
+def test_a_record_whose_task_is_no_task_is_refused(config, tmp_path, finished_run, env):
+    finished_run(tmp_path, "walk", config={"env": env})
+    with pytest.raises(UserError, match=r"policy\.npz is damaged: its record has env") as error:
+        load_policy("walk", config)
+    assert "\n" not in str(error.value)
+
+
 def test_a_skill_of_another_shape_is_refused(config, tmp_path, finished_run):
     for skill in ("walk", "climb-up", "climb-down", "leap"):
         finished_run(tmp_path, skill)

@@ -63,7 +63,7 @@ def test_a_run_writes_its_files(config, tmp_path):
     written = {p.name for p in folder.iterdir()}
     assert {"DONE", "config.json", "learning_curve.png", "policy.npz", "progress.csv"} <= written
     assert (folder / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
-    assert not list(tmp_path.rglob("*.partial"))
+    assert not list(tmp_path.rglob("*.partial*"))
 
 
 def test_progress_has_a_row_an_iteration(config):
@@ -335,9 +335,9 @@ def test_a_warm_start_that_somebody_else_trains_is_waited_for(config, finished_r
 def test_what_was_half_written_is_swept_away(config):
     folder = run_folder(config.root, "walk", 0)
     folder.mkdir(parents=True)
-    (folder / "policy.npz.123-abcd.partial").write_bytes(b"half")
+    (folder / "policy.123-abcd.partial.npz").write_bytes(b"half")
     train_policy("walk", config, quiet=True)
-    assert not list(folder.glob("*.partial"))
+    assert not list(folder.glob("*.partial*"))
 
 
 # --- unfinished runs -------------------------------------------------------------------
@@ -673,6 +673,15 @@ def test_the_supervised_selector_sees_every_course_and_level(config, monkeypatch
     with pytest.raises(KeyboardInterrupt):
         train_policy("ps-sl-5", config, quiet=True)
     assert set(np.concatenate(seen)) == set(range(len(spec.courses) * config.curriculum.num_levels))
+
+
+def test_an_imitation_that_diverges_is_one_line(config, tmp_path, finished_run):
+    for name in ("walk", "climb-up", "climb-down", "leap", "beam"):
+        finished_run(tmp_path, name)
+    config = replace(config, steps=90, supervised=replace(config.supervised, learning_rate=1e30))
+    with pytest.raises(UserError, match=r"^training has diverged: [\w.]+ is not finite, or huge; try a smaller"):
+        train_policy("ps-sl-5", config, quiet=True)
+    assert not run_folder(config.root, "ps-sl-5", 0).exists()
 
 
 def test_supervised_selector_run(config, tmp_path, finished_run):
