@@ -108,8 +108,8 @@ class Go1Env:
     beam's height, in training ``stall_seconds`` without a waypoint, or the simulation failed.
     **Truncated**: 20 s, or the last waypoint reached.
 
-    **Info**: ``reward_terms``, each (N,); ``final_obs`` (N, 184), the true last observation of robots
-    that are done, its scandots as last taken, and that of the others; ``totals``, for every robot
+    **Info**: ``reward_terms``, each (N,); ``final_obs`` (N, 184), of a robot that is done its true
+    last observation, with the scandots last taken, of any other the one returned; ``totals``, for every robot
     the running ``reward``, ``length``, ``waypoints`` and ``edge`` sums *before* the reset, to be read
     where it is done; ``feet_on_edge`` (N,), feet that violate an edge in this step; ``kind`` (N,),
     number of the kind of course.

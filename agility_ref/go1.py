@@ -2,8 +2,8 @@
 
 Every number of the robot stands here once.  Masses, inertias, joint ranges and torque
 limits are those of Unitree's Go1 description (BSD-3-Clause, see NOTICE) in the merged
-form of MuJoCo Menagerie: each rotor is added to the link that carries it, but for the hips',
-which the trunk carries and which are left out there too.  Rotor
+form of MuJoCo Menagerie: each rotor is added to the link that carries it; the hips' rotors, which
+the trunk carries, are left out, as there.  Rotor
 inertia times gear ratio squared gives the joint armature.  The geoms are ours:
 foot spheres, thigh and calf capsules and a trunk box touch the terrain, and nothing
 touches the robot itself.

@@ -10,7 +10,6 @@ one is not trained again, an interrupted one starts anew.  Then everything that 
 is collected into ``<out>/ablations-<preset>.csv``, ``.png`` and ``.svg`` and printed.
 """
 
-import csv
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +17,7 @@ from pathlib import Path
 from agility_ref.curriculum import hardest
 from agility_ref.env import ACTION_DIM
 from agility_ref.errors import UserError, unknown_name
-from agility_ref.files import read_npz, write_csv, write_npz, write_text
+from agility_ref.files import read_csv, read_npz, write_csv, write_npz, write_text
 from agility_ref.observation import OBS_DIM
 from agility_ref.pictures.plots import BLUE, new_figure, save_figure, style
 from agility_ref.stats import t_interval
@@ -144,8 +143,7 @@ def load(folder: Path, recipe: TrainConfig) -> Trained | None:
         raise UserError(f"{folder} was trained by another recipe: move it away, or choose another --runs")
     curve = []
     if (folder / "curve.csv").exists():  # a warm start is not evaluated
-        with open(folder / "curve.csv", newline="") as file:
-            rows = list(csv.DictReader(file))
+        rows = read_csv(folder / "curve.csv", CURVE_COLUMNS)
         curve = [{key: float(row[key]) if row[key] else None for key in CURVE_COLUMNS} for row in rows]
         curve = [{**point, "steps": int(point["steps"])} for point in curve]
     return Trained(arrays, meta["steps"], meta["wall_seconds"], curve)
@@ -232,7 +230,7 @@ def summary_rows(found: dict) -> list[dict]:
 
 
 def spread(values: list[float], digits: str = ".2f") -> str:
-    """Print the mean and, of several values, the lowest and the highest."""
+    """Return the mean as text and, of several values, the lowest and the highest."""
     text = format(np.mean(values), digits)
     return text if len(values) == 1 else f"{text} ({min(values):{digits}} to {max(values):{digits}})"
 

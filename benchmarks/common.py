@@ -69,7 +69,7 @@ def ratio(a: np.ndarray, b: np.ndarray) -> dict[str, float]:
 
 
 def show(r: dict[str, float]) -> str:
-    """Print a :func:`ratio`: its value and its quartiles."""
+    """Return a :func:`ratio` as text: its value and its quartiles."""
     return f"{r['value']:.2f} ({r['low']:.2f}-{r['high']:.2f})"
 
 

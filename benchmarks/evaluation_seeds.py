@@ -13,13 +13,12 @@ the first's interval.  The difference of two independent estimates varies more t
 So the first share should be 0.95, while of the third only P(|Z| < 1.96 / sqrt 2) = 0.83 can be asked.
 """
 
-import csv
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Annotated
 
 from agility_ref.errors import UserError
 from agility_ref.evaluate import METRICS
+from agility_ref.files import read_csv
 
 import numpy as np
 from common import machine, report, start
@@ -45,10 +44,7 @@ def read_cells(path: str) -> dict[tuple[str, str], dict[str, str]]:
     ------
     UserError : there is no such file, or it has no intervals
     """
-    if not Path(path).is_file():
-        raise UserError(f"no table at {path}")
-    with open(path, newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = read_csv(path)
     if not rows or "reward_low" not in rows[0]:
         raise UserError(f"{path} is not a table1.csv with intervals")
     return {(row["environment"], row["policy"]): row for row in rows}

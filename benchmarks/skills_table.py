@@ -132,12 +132,12 @@ def over_courses(rows: list[dict], metric: str) -> list[float]:
 
 
 def mean_worst(values: list[float], worst) -> str:
-    """Print a mean over seeds and, of several, the worst."""
+    """Return a mean over seeds as text and, of several, the worst."""
     return f"{np.mean(values):.2f}" + (f" ({worst(values):.2f})" if len(values) > 1 else "")
 
 
 def budget_text(policy_rows: list[dict]) -> dict[str, str]:
-    """Print steps and minutes of training, median over seeds."""
+    """Return steps and minutes of training, median over seeds, as text."""
     seeds = {row["seed"]: row for row in policy_rows}.values()
     minutes = [row["wall_seconds"] / 60 for row in seeds if row["wall_seconds"] is not None]
     return {
@@ -207,7 +207,7 @@ def generalist_figures(played: dict[Key, Evaluation]) -> list[dict]:
 
 
 def generalist_rows(figures: list[dict]) -> list[dict]:
-    """Print :func:`generalist_figures`, and the mean over the courses of each generalist."""
+    """Return :func:`generalist_figures` as rows of text, with the mean over the courses of each generalist."""
     rows = []
     for name in dict.fromkeys(f["generalist"] for f in figures):
         own = [f for f in figures if f["generalist"] == name]

@@ -90,7 +90,7 @@ def medians(runs: list[dict]) -> dict[str, dict | None]:
 
 
 def cell(point: dict | None) -> str:
-    """Print steps and time of a crossing."""
+    """Return steps and time of a crossing as text."""
     return f"{point['steps'] / 1e6:.2f} M, {point['seconds']:.0f} s" if point else "-"
 
 

@@ -452,7 +452,7 @@ def test_a_table_agrees_with_itself(capsys):
     evaluation_seeds.main(evaluation_seeds.Config(table, table, json=True))
     shares = json.loads(capsys.readouterr().out)["agreement"]
     assert all(value == 1.0 for metric in shares.values() for name, value in metric.items() if name != "cells")
-    with pytest.raises(UserError, match="no table at nowhere"):
+    with pytest.raises(UserError, match="no file at nowhere"):
         evaluation_seeds.read_cells("nowhere")
 
 

@@ -212,9 +212,8 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
     env = robots
     if selector:
         env = SelectorEnv(robots, oracle_hierarchy(spec.name, skills), spec.reward)
-    batch = ppo.batch_size
-    kinds = [f"level_{kind}" for kind in spec.courses] if len(spec.courses) > 1 and config.curriculum.enabled else []
-    rows, episodes = _resume_or_warm_start(spec, config, folder, learner, robots, curriculum, bank, batch, kinds)
+    columns = [f"level_{kind}" for kind in spec.courses] if len(spec.courses) > 1 and config.curriculum.enabled else []
+    rows, episodes = _resume_or_warm_start(spec, config, folder, learner, robots, curriculum, bank, columns)
     if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
     _write_config(spec, config, folder)
@@ -233,7 +232,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
         arrays = policy_arrays(learner) | learner_state(learner) | robots_state(robots, curriculum) | seen
         arrays |= {"progress.episodes": log.last_episodes()}
         if bad := beyond_use(arrays):
-            raise _diverged(folder, bad, learner, batch)
+            raise _diverged(folder, bad, learner)
         meta = record | {"steps": learner.steps, "wall_seconds": time.monotonic() - start}
         log.write()
         write_npz(folder / "policy.npz", arrays, meta, compress)
@@ -241,9 +240,9 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
     with stop, log, np.errstate(over="ignore", invalid="ignore"):  # what is no longer finite is found below
         for iteration in train(env, learner, total, stop.requested, robots.observation if rows else None):
             if bad := next((key for key, x in iteration.items() if key != "episodes" and not np.isfinite(x)), ""):
-                raise _diverged(folder, bad, learner, batch)
+                raise _diverged(folder, bad, learner)
             levels = curriculum.levels()
-            by_kind = dict(zip(kinds, levels, strict=False))
+            by_kind = dict(zip(columns, levels, strict=False))
             log.add(iteration, time.monotonic() - start, float(levels.mean()), by_kind)
             save(compress=False)  # every time: even a killed run loses no more than one iteration
             if draw and time.monotonic() - last_drawn > 60.0:
@@ -257,11 +256,11 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
     write_text(folder / "DONE", f"{learner.steps} steps\n")
 
 
-def _diverged(folder: Path, quantity: str, learner: Learner, batch: int) -> UserError:
+def _diverged(folder: Path, quantity: str, learner: Learner) -> UserError:
     kept = (
         f"{folder} keeps the policy of the iteration before" if (folder / "policy.npz").exists() else "nothing was kept"
     )
-    iteration = (learner.steps - learner.start) // batch
+    iteration = (learner.steps - learner.start) // learner.config.batch_size
     return UserError(
         f"training has diverged: {quantity} is not finite, or huge, in iteration {iteration}, at {learner.steps} steps; "
         f"{kept}; try smaller learning rates or reward weights, and another --out"
@@ -276,8 +275,7 @@ def _resume_or_warm_start(
     robots: Go1Env,
     curriculum: Curriculum,
     bank: dict[str, str],
-    batch: int,
-    levels: list[str],
+    level_columns: list[str],
 ) -> tuple[list[dict], np.ndarray]:
     """Load the folder's checkpoint, or the warm start; return the progress so far and the last episodes."""
     saved = folder / "policy.npz"
@@ -291,7 +289,8 @@ def _resume_or_warm_start(
             raise UserError(f"{folder} was started over another {other}; give its folder, or another --out")
         check_arrays(saved, arrays, learner, robots, curriculum)
         learner.steps, learner.start = meta["steps"], meta.get("start", 0)
-        rows = rows_until(folder / "progress.csv", learner.start, learner.steps, batch, tuple(levels))
+        spent = (learner.start, learner.steps, learner.config.batch_size)
+        rows = rows_until(folder / "progress.csv", *spent, tuple(level_columns))
         go_on(arrays, learner, robots, curriculum)
         return rows, arrays["progress.episodes"]
     if spec.warm_start and config.warm_start:

@@ -23,8 +23,8 @@ def sight(world: World) -> tuple[np.ndarray, np.ndarray]:
     Ours: the paper does not say what a specialist makes of ground that its own courses do not have.  A
     network is of no use on inputs far from those it was trained on, so a trained policy clips them
     to these bounds: to one that climbs up, a pit looks as the level ground before a step.  Where no
-    course has a pit, ground more than SIGHT_DEPTH below the feet looks SIGHT_DEPTH deep: who knows two
-    steps down at once would else balk at a step up with a pit beyond it, where it takes one with a step down.
+    course has a pit, ground more than SIGHT_DEPTH below the feet looks SIGHT_DEPTH deep: a policy that
+    could tell a pit from a step down would balk at a step up with a pit behind it, though it takes one with a step down behind it.
 
     Parameters
     ----------

@@ -21,12 +21,12 @@ import numpy as np
 import torch
 
 # What the next step of Go1Env depends on, beside the physics and the random streams.
-ROBOTS = (
+ENVIRONMENT = (
     "course", "waypoint_index", "command", "yaw", "base_lin_vel", "projected_gravity", "heading_error", "foot_contact",
     "push_timer", "_reach_timer", "_reach_step", "_step_count", "_last_action", "_scandots", "_clock",
     "_episode_reward", "_episode_edge", "observation",
 )  # fmt: skip
-COURSES = ("frontier", "score", "kind", "level")  # of a Curriculum, likewise
+CURRICULUM = ("frontier", "score", "kind", "level")  # what its next course depends on
 MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # what Adam remembers of each parameter
 
 
@@ -61,7 +61,7 @@ def robots_state(env: Go1Env, curriculum: Curriculum) -> dict[str, np.ndarray]:
 
 def _live(env: Go1Env, curriculum: Curriculum) -> dict[str, np.ndarray]:
     """Return the arrays themselves: writing to one changes the robots or the curriculum."""
-    parts = (("env", env, ROBOTS), ("curriculum", curriculum, COURSES))
+    parts = (("env", env, ENVIRONMENT), ("curriculum", curriculum, CURRICULUM))
     return {f"{part}.{name.strip('_')}": getattr(x, name) for part, x, names in parts for name in names}
 
 
@@ -163,9 +163,9 @@ def has_blocks(arrays: dict[str, np.ndarray]) -> bool:
 def warm_start(learner: Learner, arrays: dict[str, np.ndarray], steps: int, std: float, critic_steps: int = 0) -> None:
     """Go on from another policy's network after its ``steps``, with a fresh optimiser and exploration noise ``std``.
 
-    A policy that was not learned from rewards has no critic.  The values of a new one would ruin
-    its actor, which therefore rests for the first ``critic_steps`` environment steps, and starts
-    with small ones.
+    A policy that was not learned from rewards has no critic.  The values of a new one would at first ruin
+    the actor, which therefore rests for ``critic_steps`` environment steps and then starts with
+    the smallest step size.
     """
     learner.steps = learner.start = learner.actor_start = steps
     own = {"net.log_std": learner.net.log_std.detach().numpy()}
