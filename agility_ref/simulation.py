@@ -80,7 +80,6 @@ class Simulation:
     sensors : (N, 37), see :meth:`columns`
     foot_pos : (N, 4, 3) centres of the feet [m]
     torque : (N, 12) [N m]
-    errors : simulations that failed so far
     """
 
     def __init__(
@@ -112,7 +111,6 @@ class Simulation:
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self.ctrl, self.sensors = self.batch.bind("ctrl"), self.batch.bind("sensordata")
         self.foot_pos, self.torque = self.batch.bind("site_xpos"), self.batch.bind("actuator_force")
-        self.errors = 0
 
     def columns(self, names: tuple[str, ...]) -> np.ndarray:
         """Return where the named sensors of :func:`~agility_ref.go1.make_xml` stand in ``sensors``."""
@@ -139,7 +137,5 @@ class Simulation:
             failed[error.ids] = True
         # MuJoCo resets a simulation that diverges to its default pose and counts a warning.
         failed |= (self.batch.warning[:, DIVERGED, 1] > 0).any(axis=1)
-        if failed.any():
-            self.batch.warning[failed] = 0
-            self.errors += int(failed.sum())
+        self.batch.warning[failed] = 0
         return failed

@@ -669,12 +669,11 @@ def test_two_feet_at_beam_height_are_enough():
     assert (feet[[1, 3]] < -0.05).all() and (feet[[0, 2]] > 0.0).all()
 
 
-def test_failed_simulations_are_ended_and_counted(failing_batch):
+def test_failed_simulations_are_ended(failing_batch):
     env = make_env("walk")
     env.simulation.batch = failing_batch(env.simulation.batch)
     obs, reward, terminated, _, info = env.step(still(env))
     np.testing.assert_array_equal(terminated, [False, False, True, False])
-    assert env.simulation.errors == 1
     assert np.isfinite(obs).all()
     assert reward[2] == 0.0 and all(term[2] == 0.0 for term in info["reward_terms"].values())
     assert reward[[0, 1, 3]].all()
@@ -697,13 +696,12 @@ def test_rewards_know_the_level_course(kind, alive, idle):
     assert (info["reward_terms"]["standing"] < 0).all() == idle
 
 
-def test_diverged_simulations_are_ended_and_counted():
+def test_diverged_simulations_are_ended():
     # MuJoCo puts a state that blows up back to the start of the model and only warns.
     env = make_env("walk")
     env._qvel[2, 8] = 1e12
     obs, _, terminated, _, _ = env.step(still(env))
     np.testing.assert_array_equal(terminated, [False, False, True, False])
-    assert env.simulation.errors == 1
     assert np.isfinite(obs).all()
     assert not env.step(still(env))[2].any()
 

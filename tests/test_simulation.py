@@ -54,11 +54,10 @@ def test_robots_that_stay_are_not_disturbed(simulation):
     assert (simulation.qpos[1] != before[1]).any()
 
 
-def test_failed_simulations_are_reported_and_counted(simulation, failing_batch):
+def test_failed_simulations_are_reported(simulation, failing_batch):
     start(simulation, np.arange(3), np.array([0, 0, 0]))
     simulation.batch = failing_batch(simulation.batch)
     assert simulation.step(2).tolist() == [False, False, True]
-    assert simulation.errors == 1
 
 
 def test_diverged_simulations_are_reported_once(simulation):
@@ -66,7 +65,6 @@ def test_diverged_simulations_are_reported_once(simulation):
     start(simulation, np.arange(3), np.array([0, 0, 0]))
     simulation.qvel[1, 8] = 1e12
     assert simulation.step(2).tolist() == [False, True, False]
-    assert simulation.errors == 1
     start(simulation, np.array([1]), np.array([0]))
     assert not simulation.step(2).any()
 

@@ -9,7 +9,7 @@ import time
 
 from agility_ref.env import Go1Env
 from agility_ref.errors import UserError, unknown_name
-from agility_ref.pictures.scene import make_scene, mark_waypoints
+from agility_ref.pictures.scene import GAZE, make_scene, pose
 from agility_ref.pictures.video import VideoConfig, open_renderer
 
 import mujoco
@@ -47,11 +47,7 @@ class Camera:
             model = make_scene(self.env.world.courses[course])
             self._scenes[course] = model, mujoco.MjData(model)
         model, data = self._scenes[course]
-        data.qpos[:] = self.env.simulation.qpos[robot]
-        mark_waypoints(model, int(self.env.waypoint_index[robot]))
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_camlight(model, data)
+        pose(model, data, self.env.simulation.qpos[robot], int(self.env.waypoint_index[robot]))
         return course, model, data
 
     def frames(self) -> tuple[np.ndarray, ...] | None:
@@ -75,7 +71,7 @@ class Camera:
             self._renderers[course] = open_renderer(model, self.config)
         view = mujoco.MjvCamera()
         view.azimuth, view.elevation, view.distance = self.config.azimuth, self.config.elevation, self.config.distance
-        view.lookat[:] = data.qpos[:3] + np.array([0.25, 0.0, -0.06])
+        view.lookat[:] = data.qpos[:3] + GAZE
         self._renderers[course].update_scene(data, view)
         return self._renderers[course].render()
 

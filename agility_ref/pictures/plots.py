@@ -246,9 +246,9 @@ def learning_curve(progress: Path, out: Path, title: str) -> bool:
         steps = curve["steps"] / 1e6
         left, right = axes[0]
         left.plot(steps, curve["reward"], color=BLUE)
-        left.set(xlabel="environment steps [million]", ylabel="return per episode", title=title)
-        right.plot(steps, curve["waypoint_fraction"], color=BLUE, label="waypoint fraction, exploring")
-        right.plot(steps, curve["level"], color=ORANGE, label="level / top level")
+        left.set(xlabel="environment steps [million]", ylabel=LABELS["reward"], title=title)
+        right.plot(steps, curve["waypoint_fraction"], color=BLUE, label=LABELS["waypoint_fraction"])
+        right.plot(steps, curve["level"], color=ORANGE, label=LABELS["level"])
         right.set(xlabel="environment steps [million]", ylim=(0, 1.02))
         _wall_axis(left, curve, "wall time [min]")
         _wall_axis(right, curve)

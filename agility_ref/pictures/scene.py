@@ -28,6 +28,7 @@ import numpy as np
 BODY, DARK, RUBBER = "#D8DADD", "#3A3F47", "#23262B"
 TOP_LOW, TOP_HIGH, SIDE, PIT, METRE = "#B9B2A3", "#F3EEE2", "#8C8577", "#5B564E", "#9C9485"
 
+GAZE = np.array([0.25, 0.0, -0.06])  # [m] from the trunk to the point that a camera looks at
 WAYPOINT_COLOURS = {"reached": "#6E6E6E", "current": "#FF4FA3", "ahead": "#F2D5E3"}
 
 X = (np.arange(round(LANE_LENGTH / CELL)) + 0.5) * CELL  # [m] centres of the height map's cells
@@ -109,10 +110,8 @@ def _add(body, shape, size, colour, pos=(0, 0, 0), quat=(1, 0, 0, 0), fromto=Non
         "group": LOOK_GROUP,
         "name": name,
     }
-    if fromto is None:
-        body.add_geom(size=[*size, 0, 0][:3], pos=pos, quat=quat, **look)
-    else:
-        body.add_geom(size=[*size, 0, 0][:3], fromto=fromto, **look)
+    where = {"pos": pos, "quat": quat} if fromto is None else {"fromto": fromto}
+    body.add_geom(size=[*size, 0, 0][:3], **where, **look)
 
 
 def _dress_trunk(trunk) -> None:
@@ -177,6 +176,15 @@ def mark_waypoints(model: mujoco.MjModel, index: int) -> None:
         model.geom(f"waypoint{k}").rgba = rgba(WAYPOINT_COLOURS[state])
 
 
+def pose(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray, waypoint: int) -> None:
+    """Put the robot into the pose ``qpos`` (19,), on its way to a waypoint, as a renderer is to see it."""
+    data.qpos[:] = qpos
+    mark_waypoints(model, waypoint)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_camlight(model, data)
+
+
 def scene_spec(course: Course) -> mujoco.MjSpec:
     """Return the dressed model of one course, not yet compiled."""
     spec = mujoco.MjSpec.from_string(make_xml(course))
@@ -236,11 +244,9 @@ def support_points(shape: int, size: np.ndarray, directions: np.ndarray) -> np.n
     ends[:, 2] = np.sign(d[:, 2]) * size[1]
     if shape == CAPSULE:
         return ends + size[0] * d
-    if shape == CYLINDER:
-        radial = np.hypot(d[:, 0], d[:, 1])[:, None]
-        ends[:, :2] = size[0] * d[:, :2] / np.maximum(radial, 1e-9)
-        return ends
-    raise ValueError(f"no silhouette for geom type {shape}")
+    radial = np.hypot(d[:, 0], d[:, 1])[:, None]  # a cylinder
+    ends[:, :2] = size[0] * d[:, :2] / np.maximum(radial, 1e-9)
+    return ends
 
 
 class Robot:

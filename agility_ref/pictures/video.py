@@ -127,7 +127,7 @@ def frames(episode: "Episode", config: VideoConfig = VideoConfig()) -> Iterator[
     ------
     UserError : as check_video
     """
-    from agility_ref.pictures.scene import make_scene, mark_waypoints
+    from agility_ref.pictures.scene import GAZE, make_scene, pose
 
     import mujoco
     from tqdm import tqdm
@@ -142,12 +142,8 @@ def frames(episode: "Episode", config: VideoConfig = VideoConfig()) -> Iterator[
     gaze = None
     with open_renderer(model, config) as renderer:
         for t in tqdm(steps, desc="film", unit="frame", leave=False, disable=None):
-            data.qpos[:] = episode.qpos[t]
-            mark_waypoints(model, episode.waypoint_index[t])
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            mujoco.mj_camlight(model, data)
-            target = episode.qpos[t, :3] + [0.25, 0.0, -0.06]
+            pose(model, data, episode.qpos[t], episode.waypoint_index[t])
+            target = episode.qpos[t, :3] + GAZE
             gaze = target if gaze is None else gaze + 0.15 * (target - gaze)  # the camera sways less than the robot
             camera.lookat[:] = gaze
             renderer.update_scene(data, camera)

@@ -116,8 +116,10 @@ def test_support_points_lie_on_the_shape():
     # h(d) = max over the shape of d . p: no point of the capsule reaches farther
     capsule = support_points(mujoco.mjtGeom.mjGEOM_CAPSULE, size, d)
     assert np.allclose((capsule * d).sum(axis=1), size[0] + size[1] * np.abs(d[:, 2]))
-    with pytest.raises(ValueError):
-        support_points(mujoco.mjtGeom.mjGEOM_MESH, size, d)
+    # of the cylinder likewise: radius times the part of d across its axis, half length times the part along it
+    cylinder = support_points(mujoco.mjtGeom.mjGEOM_CYLINDER, size, d)
+    across = np.hypot(d[:, 0], d[:, 1])
+    assert np.allclose((cylinder * d).sum(axis=1), size[0] * across + size[1] * np.abs(d[:, 2]))
 
 
 def test_silhouette_feet_are_where_the_recording_says(single):
