@@ -241,8 +241,8 @@ def test_each_kind_has_mean_zero_and_variance_one():
     ({"init_std": 0.0}, "init-std must be a number of at least 1e-09, not 0.0"),
     ({"final_std": float("nan")}, "final-std must be a number of at least 1e-09, not nan"),
     ({"num_envs": 2, "num_steps": 3, "num_minibatches": 7}, "num-minibatches must be at most 6 steps, not 7"),
-    ({"hidden": (8, 5)}, "hidden must be even numbers of units, for they come in pairs, not (8, 5)"),
-    ({"hidden": (0,)}, "hidden must be even numbers of units, for they come in pairs, not (0,)"),
+    ({"hidden": (8, 5)}, "hidden must be one or more even numbers of units, for they come in pairs, not (8, 5)"),
+    ({"hidden": (0,)}, "hidden must be one or more even numbers of units, for they come in pairs, not (0,)"),
 ])  # fmt: skip
 def test_settings_that_cannot_be_trained_with_are_refused(change, message):
     with pytest.raises(UserError) as refusal:
