@@ -175,8 +175,8 @@ print(f"first layer: {first} weights instead of {184 * 256}; all layers: {own} n
 # One more thing is hidden in `EquivariantMLP`.  For inputs that come in pairs, left and right, its hidden layers do not learn $W_e$ and
 # $W_o$ but $P = (W_e + W_o)/\sqrt 2$ and $Q = (W_e - W_o)/\sqrt 2$, the weights of the dense layer that they make.  For the function
 # this makes no difference.  For Adam it does, because Adam gives even the smallest gradient a full step.  On ground that is nearly
-# the same on both sides the gradient of $W_o$ is almost pure noise, and $W_o$ would grow on that noise alone.  `climb` reached 0.79 of its waypoints that way, and 0.93 this way
-# (docs/training.md).
+# the same on both sides the gradient of $W_o$ is almost pure noise, and $W_o$ would grow on that noise alone.  `climb` reached
+# 0.79 of its waypoints that way, and 0.93 this way (docs/training.md).
 
 # %% [markdown]
 # ## 4.4 What it is worth

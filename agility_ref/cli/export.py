@@ -46,8 +46,8 @@ def export(args: Export) -> None:
         config = WeightsConfig(preset=args.preset, seed=args.train_seed, out=existing(args.runs))
         path = weights_path(args.policy, config)
     policy = NumpyPolicy.load(path)
-    name = one_line(policy.name)
-    out = Path(args.out or one_line(Path(name).name) + SUFFIXES[args.format])  # here, whatever a file calls itself
+    name = one_line(Path(policy.name).name)  # in this folder, whatever a file calls itself
+    out = Path(args.out or f"{name}{SUFFIXES[args.format]}")
     if out.resolve() == path.resolve():
         raise UserError(f"{out} is the policy itself: give another --out")
     difference = export_policy(policy, out, args.format)

@@ -5,7 +5,8 @@ description with two examples.  ``--help`` shows the flags that people use first
 ``more`` names a configuration has its other fields as flags too, which ``--help-all`` shows.
 That one is imported only then, or to run, so that ``--help`` waits for neither torch nor mujoco.
 
-In:  words typed in a shell.  Out: text, files, exit status 0, 1 (the reader left), 2 (a mistake, in one line) or 130 (Ctrl-C).
+In:  words typed in a shell.
+Out: text, files, exit status 0, 1 (the reader left), 2 (a mistake, in one line) or 130 (Ctrl-C).
 """
 
 import errno

@@ -88,7 +88,7 @@ def check_video(config: VideoConfig, out: Path | None = None) -> None:
     ------
     UserError : another suffix or quality; a size, rate, speed or length that leaves nothing to film
     """
-    for what in ("width", "height", "fps", "speed", "seconds"):
+    for what in ("fps", "speed", "seconds"):
         if not getattr(config, what) > 0:
             raise UserError(f"{what} must be above 0, got {getattr(config, what)}")
     require_at_least(1, MAX_SIDE, width=config.width, height=config.height)
