@@ -138,9 +138,9 @@ def check_interface(source: Path, meta: dict, env: EnvConfig) -> None:
     for field in ("action-scale", "action-limit", "action-repeat", "physics.kp", "physics.kd"):
         if trained[field] != here[field]:
             raise UserError(f"{source} was trained with env.{field} {trained[field]}, this task has {here[field]}")
-    steps = [f["physics.timestep"] * f["physics.substeps"] for f in (trained, here)]
-    if not np.isclose(*steps):
-        raise UserError(f"{source} was trained to act every {steps[0]:g} s, this task asks every {steps[1]:g} s")
+    periods = [action_period(task) for task in (trained, here)]
+    if not np.isclose(*periods):
+        raise UserError(f"{source} was trained to act every {periods[0]:g} s, this task asks every {periods[1]:g} s")
 
 
 def trained_task(source: Path | str, meta: dict, env: EnvConfig) -> dict[str, float]:
@@ -155,6 +155,11 @@ def trained_task(source: Path | str, meta: dict, env: EnvConfig) -> dict[str, fl
     if not isinstance(recorded, dict) or not all(isinstance(task[flag], int | float) for flag in ours):
         raise UserError(f"{source} is damaged: its record has env {str(recorded)[:40]!r}")
     return task
+
+
+def action_period(task: dict[str, float]) -> float:
+    """Return the time between two actions [s] of a task's flags; of a configuration it is :attr:`EnvConfig.dt`."""
+    return task["physics.timestep"] * task["physics.substeps"] * task["action-repeat"]
 
 
 def as_flags(settings: dict, prefix: str = "") -> dict[str, object]:

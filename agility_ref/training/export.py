@@ -18,7 +18,7 @@ from agility_ref.files import replacing_path
 from agility_ref.go1 import DEFAULT_DOF_POS, JOINTS
 from agility_ref.observation import NUM_SCANDOTS, OBS_DIM, observation_slices
 from agility_ref.policy import Policy
-from agility_ref.training.bank import trained_task
+from agility_ref.training.bank import action_period, trained_task
 from agility_ref.training.policies import POLICIES
 
 import numpy as np
@@ -36,7 +36,6 @@ def describe(policy: Policy) -> dict:
     """Return what goes in and what comes out, with names and units, as a dict that JSON can hold."""
     task = trained_task(policy.name, policy.meta, EnvConfig())
     scale, limit = task["action-scale"], task["action-limit"]
-    period = task["physics.timestep"] * task["physics.substeps"] * task["action-repeat"]
     if policy.obs_dim == NUM_SCANDOTS:
         parts = {"scandots": slice(0, NUM_SCANDOTS)}
     else:
@@ -48,7 +47,7 @@ def describe(policy: Policy) -> dict:
     else:
         output = {
             "name": "action", "labels": list(JOINTS), "unit": f"{scale:g} rad of joint target from home",
-            "home_rad": DEFAULT_DOF_POS.tolist(), "scale_rad": scale, "clip": limit, "period_s": period,
+            "home_rad": DEFAULT_DOF_POS.tolist(), "scale_rad": scale, "clip": limit, "period_s": action_period(task),
         }  # fmt: skip
     return {
         "policy": policy.name, "digest": policy.digest(), "made_with": f"agility_ref {__version__}",
