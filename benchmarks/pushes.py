@@ -1,17 +1,15 @@
-"""What pushes cost, and how much of that no policy can help.
+"""What pushes cost, and where they strike robots that then fall.
 
     python benchmarks/pushes.py [--policies leap climb-up] [--difficulties 0.5 1] [--json]
 
-A push sets the horizontal velocity anew.  A robot that stands can take a step; one in the air
-flies on at the new velocity, and over a gap lands where that takes it.  So every skill plays
-its own courses three times, the same episodes with the same noise: without pushes, with
-pushes that wait until a foot touches the ground, and with pushes as they come.  The loss from
-the second to the third is the price of being struck in the air.
+A push sets the horizontal velocity anew.  A robot on level ground can take a step or turn back; one in
+the air, or with its front feet over a gap, goes where the new velocity takes it.  So every skill plays its
+own courses twice, the same episodes with the same noise: without pushes and with them.
 """
 
 from dataclasses import asdict, dataclass
 
-from agility_ref.env import EnvConfig, Go1Env
+from agility_ref.env import EnvConfig
 from agility_ref.errors import UserError
 from agility_ref.evaluate import (
     EvaluationConfig,
@@ -22,7 +20,7 @@ from agility_ref.evaluate import (
     waypoint_fraction,
 )
 from agility_ref.selector import Single
-from agility_ref.stats import paired_difference
+from agility_ref.terrain import Obstacle
 from agility_ref.training.bank import load_policy
 from agility_ref.training.policies import find_policy
 from agility_ref.training.runs import TrainConfig
@@ -31,7 +29,8 @@ import numpy as np
 from common import machine, report, start
 from learning import check_skill, tell
 
-PUSHES = {"none": 0.0, "on the ground": EnvConfig().push_interval, "anywhere": EnvConfig().push_interval}
+PLACES = ("in the air", "at an obstacle", "elsewhere")  # where a push strikes; the last two with a foot on the ground
+REACH = 0.15  # [m] so far before an obstacle a robot's trunk is over it with its front feet
 
 
 @dataclass(frozen=True)
@@ -58,35 +57,34 @@ class Config:
 
 @dataclass(frozen=True)
 class Play:
-    """N episodes under one kind of pushes."""
+    """N episodes."""
 
     waypoints: np.ndarray
     """(N,) waypoint fraction."""
     falls: dict[str, tuple[int, int]]
-    """Where a push struck, in the air or on the ground -> pushes, and those that a fall followed."""
+    """Place -> pushes that struck there, and those that a fall followed."""
 
 
-def wait_for_ground(env: Go1Env) -> None:
-    """Put off by a step every push that would strike a robot in the air."""
-    env.push_timer += (env.push_timer == 1) & ~env.foot_contact.any(axis=1)
-
-
-def play(policy: Single, course: str, evaluation: EvaluationConfig, pushes: str, aftermath: float) -> Play:
-    """Play the courses of an evaluation under one kind of pushes."""
-    env = evaluation_env(course, evaluation, EnvConfig(push_interval=PUSHES[pushes]))
+def play(policy: Single, course: str, evaluation: EvaluationConfig, push_interval: float, aftermath: float) -> Play:
+    """Play the courses of an evaluation with a push every ``push_interval`` [s], 0 for none."""
+    env = evaluation_env(course, evaluation, EnvConfig(push_interval=push_interval))
 
     def before(action: np.ndarray) -> dict[str, np.ndarray]:
-        if pushes == "on the ground":
-            wait_for_ground(env)
-        return {"pushed": env.push_timer == 1, "in_air": ~env.foot_contact.any(axis=1)}
+        return {"pushed": env.push_timer == 1, "in_air": ~env.foot_contact.any(axis=1), "x": env.base_pos[:, 0]}
 
     r = rollout(policy, env, evaluation.seed, before=before)
     alive = in_first_episode(r["done"])
     followed = falls_soon(r["terminated"] & alive, round(aftermath / env.config.dt))
-    struck = r["pushed"] & alive
-    places = {"in the air": struck & r["in_air"], "on the ground": struck & ~r["in_air"]}
-    falls = {place: (int(mark.sum()), int((mark & followed).sum())) for place, mark in places.items()}
-    return Play(waypoint_fraction(r["waypoints"], alive), falls)
+    at_obstacle = np.stack([near(x, c.obstacles) for x, c in zip(r["x"].T, env.world.courses, strict=True)], axis=1)
+    where = np.where(r["in_air"], 0, np.where(at_obstacle, 1, 2))
+    struck = [(where == k) & r["pushed"] & alive for k in range(len(PLACES))]
+    counts = [(int(mark.sum()), int((mark & followed).sum())) for mark in struck]
+    return Play(waypoint_fraction(r["waypoints"], alive), dict(zip(PLACES, counts, strict=True)))
+
+
+def near(x: np.ndarray, obstacles: tuple[Obstacle, ...]) -> np.ndarray:
+    """(T,) bool: a trunk at x (T,) is over an obstacle, or less than REACH before it."""
+    return np.any([(o.x0 - REACH < x) & (x < o.x1) for o in obstacles], axis=0)
 
 
 def falls_soon(fell: np.ndarray, steps: int) -> np.ndarray:
@@ -105,18 +103,19 @@ def measure(config: Config) -> list[dict]:
         for difficulty in config.difficulties:
             evaluation = EvaluationConfig(config.episodes, config.seed, difficulty=difficulty)
             tell(f"{name}, d = {difficulty}")
-            played = {kind: [play(p, course, evaluation, kind, config.aftermath) for p in policies] for kind in PUSHES}
-            scores = {kind: np.stack([p.waypoints for p in plays]) for kind, plays in played.items()}
-            falls = {
-                place: np.sum([p.falls[place] for p in played["anywhere"]], axis=0).tolist()
-                for place in ("in the air", "on the ground")
-            }
+            calm, pushed = (
+                [play(p, course, evaluation, interval, config.aftermath) for p in policies]
+                for interval in (0.0, EnvConfig().push_interval)
+            )
+            falls = {place: np.sum([p.falls[place] for p in pushed], axis=0).tolist() for place in PLACES}
             rows.append(
                 {
                     "policy": name,
                     "difficulty": difficulty,
-                    "waypoints": {kind: float(values.mean()) for kind, values in scores.items()},
-                    "price of the air": paired_difference(scores["anywhere"], scores["on the ground"]),
+                    "waypoints": {
+                        kind: float(np.mean([p.waypoints for p in plays]))
+                        for kind, plays in (("without pushes", calm), ("with pushes", pushed))
+                    },
                     "pushes": {place: count for place, (count, _) in falls.items()},
                     "fell after": {place: after / max(count, 1) for place, (count, after) in falls.items()},
                 }
@@ -132,9 +131,8 @@ def show(rows: list[dict]) -> list[dict]:
         {
             "policy": row["policy"],
             "d": f"{row['difficulty']:g}",
-            **{f"pushes: {kind}": f"{value:.2f}" for kind, value in row["waypoints"].items()},
-            "price of the air": "{:+.2f} [{:+.2f}, {:+.2f}]".format(*row["price of the air"]),
-            "pushes in the air": f"{row['pushes']['in the air'] / max(sum(row['pushes'].values()), 1):.2f}",
+            **{kind: f"{value:.2f}" for kind, value in row["waypoints"].items()},
+            **{f"pushes {p}": f"{n / max(sum(row['pushes'].values()), 1):.2f}" for p, n in row["pushes"].items()},
             **{f"fell after one {place}": f"{share:.2f}" for place, share in row["fell after"].items()},
         }
         for row in rows

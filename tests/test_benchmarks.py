@@ -5,7 +5,6 @@ import subprocess
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 from agility_ref import go1
 from agility_ref.curriculum import CurriculumConfig
@@ -18,7 +17,7 @@ from agility_ref.ppo import PPOConfig
 from agility_ref.results import findings
 from agility_ref.results.findings import read_ablations
 from agility_ref.selector import Single, oracle_hierarchy
-from agility_ref.terrain import make_course
+from agility_ref.terrain import Obstacle, make_course
 from agility_ref.training.policies import POLICIES
 from agility_ref.training.runs import TrainConfig, train_policy
 from agility_ref.world import World
@@ -507,11 +506,10 @@ def test_pushes_and_regions_are_of_specialists():
         oracle_regions.main(oracle_regions.Config(skills=("walk",)))
 
 
-def test_only_a_push_that_is_due_in_the_air_waits():
-    contact = np.array([[0, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0], [0, 0, 0, 0]], bool)
-    env = SimpleNamespace(push_timer=np.array([1, 1, 5, 0]), foot_contact=contact)
-    pushes.wait_for_ground(env)
-    assert env.push_timer.tolist() == [2, 1, 5, 0]  # 0: pushes are off
+def test_a_robot_is_at_an_obstacle_from_shortly_before_it_to_its_end():
+    gaps = (Obstacle(2.0, 2.5, "leap"), Obstacle(4.0, 4.1, "leap"))
+    x = np.array([1.84, 1.86, 2.4, 2.6, 3.84, 4.05, 4.2])
+    assert pushes.near(x, gaps).tolist() == [False, True, True, False, False, True, False]
 
 
 def test_pushes_are_counted_as_they_strike(monkeypatch, five_skills):
@@ -524,12 +522,10 @@ def test_pushes_are_counted_as_they_strike(monkeypatch, five_skills):
         return r
 
     monkeypatch.setattr(pushes, "rollout", spy)
-    monkeypatch.setitem(pushes.PUSHES, "anywhere", 0.1)
     evaluation = EvaluationConfig(episodes=3, difficulty=1.0)
-    played = pushes.play(Single("leap", five_skills["leap"]), "gap", evaluation, "anywhere", 1.0)
+    played = pushes.play(Single("leap", five_skills["leap"]), "gap", evaluation, 0.1, 1.0)
     struck = sum(count for count, _ in played.falls.values())
     assert abs(struck - sum(lengths) / 5) <= len(lengths)
-    assert played.falls["on the ground"][0] > 0 and all(after <= count for count, after in played.falls.values())
-    assert pushes.play(Single("leap", five_skills["leap"]), "gap", evaluation, "none", 1.0).falls == {
-        "in the air": (0, 0), "on the ground": (0, 0),
-    }  # fmt: skip
+    assert played.falls["elsewhere"][0] > 0 and all(after <= count for count, after in played.falls.values())
+    calm = pushes.play(Single("leap", five_skills["leap"]), "gap", evaluation, 0.0, 1.0)
+    assert calm.falls == dict.fromkeys(pushes.PLACES, (0, 0))
