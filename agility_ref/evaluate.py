@@ -104,7 +104,7 @@ class Evaluation:
     dt: float = EnvConfig().dt  # control time step [s]
 
 
-@lru_cache(maxsize=1)  # 2 MB a course, and a table goes through one terrain after another
+@lru_cache(maxsize=1)  # 2 MB per course, and a table goes through one terrain after another
 def evaluation_world(environment: str, config: EvaluationConfig) -> World:
     """Build the terrain of an evaluation; see :func:`evaluation_courses`."""
     return World(evaluation_courses(environment, config))

@@ -194,7 +194,7 @@ def collect(config: Config) -> dict[str, dict[str, dict[int, list[dict]]]]:
 
 
 def csv_rows(found: dict) -> list[dict]:
-    """Return one row an evaluation, with COLUMNS."""
+    """Return one row per evaluation, with COLUMNS."""
     return [
         {"ablation": ablation, "policy": policy, "seed": seed, **{column: point[column] for column in COLUMNS[3:]}}
         for policy, ablations in found.items()
@@ -205,7 +205,7 @@ def csv_rows(found: dict) -> list[dict]:
 
 
 def summary_rows(found: dict) -> list[dict]:
-    """Return one row a policy and ablation: the last evaluation, and what the change made of it."""
+    """Return one row per policy and ablation: the last evaluation, and what the change made of it."""
     rows = []
     for policy, ablations in found.items():
         last = {name: {s: c[-1] for s, c in seeds.items()} for name, seeds in ablations.items()}

@@ -7,7 +7,7 @@ progress.csv has no torn, doubled or missing row before the point from which a r
 the end the run has its steps, as many rows as iterations, no leftover of a temporary file, and,
 as it went on with the same bits each time, the very policy of a run that nobody touched.
 
-In:  nothing but a folder for its runs.  Out: one line a kill, and one at the end.
+In:  nothing but a folder for its runs.  Out: one line per kill, and one at the end.
 """
 
 import argparse

@@ -95,7 +95,7 @@ def falls_soon(fell: np.ndarray, steps: int) -> np.ndarray:
 
 
 def measure(config: Config) -> list[dict]:
-    """Return one row a policy and difficulty, over all its seeds, JSON-ready."""
+    """Return one row per policy and difficulty, over all its seeds, JSON-ready."""
     rows = []
     for name in config.policies:
         (course,) = find_policy(name).courses

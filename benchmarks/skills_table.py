@@ -52,7 +52,7 @@ class Config:
     seed: int = 0
     """Seed of courses, starts, commands, noise and pushes."""
     csv: str = ""
-    """File for one row a policy, seed, course and difficulty; empty for none."""
+    """File for one row per policy, seed, course and difficulty; empty for none."""
     json: bool = False
     """Print one JSON object."""
 
@@ -98,7 +98,7 @@ def play(policies: dict[tuple[str, int], Policy], config: Config) -> dict[Key, E
 
 
 def csv_rows(played: dict[Key, Evaluation], policies: dict[tuple[str, int], Policy]) -> list[dict]:
-    """Return one row a policy, seed, course and difficulty, JSON-ready."""
+    """Return one row per policy, seed, course and difficulty, JSON-ready."""
     return [
         {
             "policy": name,
@@ -147,7 +147,7 @@ def budget_text(policy_rows: list[dict]) -> dict[str, str]:
 
 
 def skills_rows(rows: list[dict]) -> list[dict]:
-    """One row a policy: d ~ U(0, max), the mean over its courses."""
+    """One row per policy: d ~ U(0, max), the mean over its courses."""
     table = []
     for name in dict.fromkeys(row["policy"] for row in rows):
         own = [row for row in rows if row["policy"] == name and row["difficulty"] == "uniform"]
@@ -166,7 +166,7 @@ def skills_rows(rows: list[dict]) -> list[dict]:
 
 
 def difficulty_rows(rows: list[dict]) -> list[dict]:
-    """One row a policy and course: the waypoint fraction at fixed difficulties."""
+    """One row per policy and course: the waypoint fraction at fixed difficulties."""
     table = []
     for name, course in dict.fromkeys((row["policy"], row["course"]) for row in rows):
         own = [row for row in rows if (row["policy"], row["course"]) == (name, course)]

@@ -209,7 +209,7 @@ def find_cell(entrant: Entrant, environment: str, config: EvaluationConfig, fold
 
 
 def stack(cells: Cells, policy: str, environment: str, name: str, seeds: list[int]) -> np.ndarray:
-    """Return one array of a policy's cells, (S, N), one row a training seed."""
+    """Return one array of a policy's cells, (S, N), one row per training seed."""
     policy = find_policy(policy).name
     return np.stack([cells[policy, environment, seed].arrays[name] for seed in seeds]).astype(float)
 

@@ -195,7 +195,7 @@ def summarise(cells: list[Cell]) -> Summary:
 
 
 def success_interval(reached: np.ndarray) -> tuple[float, float]:
-    """95 % interval of a success rate; reached (S, E) bool, one row a training seed.
+    """95 % interval of a success rate; reached (S, E) bool, one row per training seed.
 
     Wilson's, with the episodes of one seed as trials: several seeds play the same courses.  The
     difficulties are spread evenly, which makes it rather too wide.  It knows nothing of the spread

@@ -128,7 +128,7 @@ def test_a_long_run_of_short_iterations(config):
 
 
 def test_the_learning_curve_is_redrawn_along_the_way(config, monkeypatch):
-    # A clock on which every reading is 10 s later than the last, three and a half readings an iteration; a curve a minute.
+    # A clock on which every reading is 10 s later than the last, three and a half readings per iteration; one curve per minute.
     clock, drawn = count(0.0, 10.0), []
     monkeypatch.setattr(runs.time, "monotonic", lambda: next(clock))
     config = replace(config, steps=6 * BATCH)
