@@ -37,7 +37,7 @@ class Config:
     difficulty: float = 0.0
     """Of the courses, 0 to 1."""
     episodes: int = 32
-    """Episodes, one a course; usual 16 to 64."""
+    """Episodes, one per course; usual 16 to 64."""
     clean: bool = False
     """Turn noise, pushes, payload and friction differences off."""
     json: bool = False
@@ -60,6 +60,7 @@ def main(config: Config) -> None:
                     "policy": name,
                     "seed": seed,
                     "feet stand FR FL RR RL [%]": " ".join(f"{100 * share:.0f}" for share in gait.contact_share),
+                    "diagonals agree": f"{gait.diagonal_correlation:.2f}",
                     "swings rise [cm]": " ".join(f"{100 * height:.1f}" for height in gait.swing_clearance),
                     "swings/s": " ".join(f"{rate:.1f}" for rate in gait.swings_per_second),
                     "body touches [%]": f"{100 * gait.body_share:.1f}",

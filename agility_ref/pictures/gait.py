@@ -3,7 +3,7 @@
 A policy can reach every waypoint on three legs, or shuffle.  The reward does not say so and
 Table 1 does not either; these numbers do.
 
-In:  recorded episodes, or arrays (T, N, 4) over T control steps, N robots and the feet FR, FL,
+In:  recorded episodes, or arrays (T, N, 4) over T steps, N robots and the feet FR, FL,
      RR, RL.
 Out: a :class:`Gait`, one number per foot; for one episode a figure of gait, progress, reward
      terms, joints and torques.
@@ -27,6 +27,7 @@ class Gait:
     """How robots walked, over all their counted steps."""
 
     contact_share: np.ndarray  # (4,) share of the steps in which each foot stood.
+    diagonal_correlation: float  # How alike diagonal feet stand: 1 for a trot, -1 for a pace or a bound.
     swing_clearance: np.ndarray
     """(4,) height of the top of a swing over the ground, mean over swings [m]; NaN for a foot without any."""
     swings_per_second: np.ndarray
@@ -42,6 +43,17 @@ class Gait:
 def contact_share(contact: np.ndarray, counted: np.ndarray) -> np.ndarray:
     """Share of the counted steps in which each foot stands: (T, N, 4) bool, (T, N) bool -> (4,)."""
     return contact[counted].mean(axis=0)
+
+
+def diagonal_correlation(contact: np.ndarray, counted: np.ndarray) -> float:
+    """Correlation of FR with RL and of FL with RR, the mean of the two: (T, N, 4) bool, (T, N) bool -> number.
+
+    NaN where a foot never moves.
+    """
+    fr, fl, rr, rl = contact[counted].T.astype(float)
+    if min(np.ptp(foot) for foot in (fr, fl, rr, rl)) == 0.0:
+        return np.nan
+    return float(np.corrcoef(fr, rl)[0, 1] + np.corrcoef(fl, rr)[0, 1]) / 2
 
 
 def swing_peaks(contact: np.ndarray, clearance: np.ndarray, counted: np.ndarray) -> list[np.ndarray]:
@@ -97,6 +109,7 @@ def measure(episodes: list[Episode], settle: float = 2.0) -> Gait:
     seconds = counted.sum() * episodes[0].dt
     return Gait(
         contact_share=contact_share(contact, counted),
+        diagonal_correlation=diagonal_correlation(contact, counted),
         swing_clearance=np.array([p.mean() if len(p) else np.nan for p in peaks]),
         swings_per_second=np.array([len(p) / seconds for p in peaks]),
         torque_share=max(float((np.abs(e.torque) / TORQUE_LIMITS).max()) for e in episodes),
