@@ -106,8 +106,11 @@ class Evaluation:
 
 @lru_cache(maxsize=1)  # 2 MB per course, and a table goes through one terrain after another
 def evaluation_world(environment: str, config: EvaluationConfig) -> World:
-    """Build the terrain of an evaluation; see :func:`evaluation_courses`."""
-    return World(evaluation_courses(environment, config))
+    """Build the terrain of an evaluation; see :func:`evaluation_courses`.
+
+    As published, edges are those across the lane alone, as in the original.
+    """
+    return World(evaluation_courses(environment, config), "x" if config.protocol == "as-published" else "xy")
 
 
 def evaluation_courses(environment: str, config: EvaluationConfig) -> list[Course]:

@@ -10,6 +10,7 @@ from agility_ref.evaluate import (
     edge_violation,
     episode_length,
     evaluate,
+    evaluation_courses,
     evaluation_env,
     evaluation_world,
     reward_metric,
@@ -20,6 +21,7 @@ from agility_ref.results.published import evaluate_by_protocol, mean_std, summar
 from agility_ref.selector import Hierarchy, Single, oracle_hierarchy
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS
 from agility_ref.training.policies import ENVIRONMENTS
+from agility_ref.world import World
 
 import numpy as np
 import pytest
@@ -261,6 +263,15 @@ def test_who_falls_early_counts_several_times(make_policy):
     np.testing.assert_array_equal(evaluation.difficulty, d[[0, 1, 2, 0]])
     assert evaluation.edge_violation.shape == (45 * 3,)
     assert summary(evaluation)["episodes"] == 4 and summary(evaluation)["falls"] == 0.25
+
+
+def test_published_edges_are_those_across_the_lane_alone():
+    # A beam has two long sides, which the original does not see.
+    complete, published = (evaluation_world("beam", config).edges for config in (FEW, PUBLISHED))
+    courses = evaluation_courses("beam", FEW)
+    np.testing.assert_array_equal(complete, World(courses, "xy").edges)
+    np.testing.assert_array_equal(published, World(courses, "x").edges)
+    assert np.isinf(published[np.isfinite(complete)]).any()
 
 
 def test_the_first_episodes_are_those_of_the_complete_protocol(single):

@@ -35,6 +35,7 @@ def as_published(
     * edge violation is the number of feet on an edge of each robot in each step, of which
       the memory of 1000 values keeps the **last steps of the run** alone (with 256 robots
       the last four), whatever episode they belong to;
+    * edges are those across the lane alone (:func:`agility_ref.evaluate.evaluation_world`);
     * of more than 1000 ended episodes the last 1000 count;
     * the standard deviations of :func:`mean_std`.
 
@@ -44,7 +45,6 @@ def as_published(
       courses alone;
     * from a robot's second episode on, the original allows 1001 steps; here 1000;
     * on ``gap`` the original's waypoints stand before each gap, ours behind it;
-    * edges across the lane alone, where ours count along both axes (``World(edges="x")``);
     * observation noise, payloads up to 2 kg and friction of 0.6 to 1.2, where the original's evaluator
       has no noise, no payload and friction of 0.6 to 2;
     * commanded speeds of 0.3 to 0.8 m/s, motors of differing strength, pushes of all robots in
