@@ -1,4 +1,5 @@
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -19,3 +20,6 @@ def test_tutorial_runs_as_a_script(script, tmp_path):
         capture_output=True, text=True, timeout=900,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
+    if script.name.startswith("02_"):  # Newton: feet that stand still carry the weight
+        carried = [float(share) for share in re.findall(r"the feet carry ([\d.]+) of the weight", done.stdout)]
+        assert carried == pytest.approx([1.0] * 3, abs=0.01)

@@ -25,6 +25,7 @@ from agility_ref.env import ACTION_DIM, EnvConfig, Go1Env
 from agility_ref.go1 import (
     DEFAULT_DOF_POS,
     DOF_RANGE,
+    FOOT_TOUCH,
     JOINTS,
     LEGS,
     STAND_HEIGHT,
@@ -281,12 +282,12 @@ show(figure, "02_reward_terms")
 # %%
 env = Go1Env(World([flat]), num_envs=1, config=config)
 env.reset(seed=0)
-sensors = env.simulation.sensors  # per foot: contact found, then its force xyz [N]
+touch = env.simulation.columns(FOOT_TOUCH)  # per foot: contact found, then its force xyz [N]
 weight = env.simulation.models[0].body_subtreemass[1] * 9.81
 force, contact = [], []
 for _ in range(round(3.0 / config.dt)):
     env.step(np.zeros((1, ACTION_DIM)))
-    vertical = np.abs(sensors[0, :16].reshape(4, 4)[:, 3])  # a foot can push but not pull: size says all
+    vertical = np.abs(env.simulation.sensors[0, touch].reshape(4, 4)[:, 3])  # a foot can only push: size says all
     force.append(vertical.sum() / weight)
     contact.append(env.foot_contact[0].copy())
 t = (np.arange(len(force)) + 1) * config.dt
@@ -315,7 +316,7 @@ for payload in (0.0, 2.0):
     d = mujoco.MjData(heavy)
     mujoco.mj_resetDataKeyframe(heavy, d, 0)
     mujoco.mj_step(heavy, d, round(4.0 / heavy.opt.timestep))
-    carried = np.abs(d.sensordata[:16].reshape(4, 4)[:, 3]).sum() / (heavy.body_subtreemass[1] * 9.81)
+    carried = sum(abs(d.sensor(foot).data[3]) for foot in FOOT_TOUCH) / (heavy.body_subtreemass[1] * 9.81)
     print(f"payload {payload} kg: the feet carry {carried:.3f} of the weight, the trunk stands at {d.qpos[2]:.3f} m")
 
 # %% [markdown]
