@@ -39,12 +39,12 @@ class CurriculumConfig:
     score_step: float = 0.04  # share by which one episode moves the score; usual 0.02 to 0.1
     easy_share: float = 0.3  # share of episodes at or below the frontier, against forgetting; 0 to 0.5
     top_easy_share: float = 0.625  # the same once the frontier is the top; 0 to 0.8
-    kind_floor: float = 0.1  # a kind is drawn with this weight plus its distance from the top; above 0, inf: evenly
-    enabled: bool = True  # False draws every level uniformly, the ablation of section 4.2
+    kind_floor: float = 0.1  # weight of a kind in the draw: this + 1 - its score; above 0, inf: evenly
+    enabled: bool = True  # False draws kinds and levels uniformly, the ablation of section 4.2
 
     def __post_init__(self):
         require_at_least(1, MANY, num_levels=self.num_levels, variants=self.variants)
-        require_at_least(1e-3, kind_floor=min(self.kind_floor, 1.0))  # at the top it is all that is left; may be inf
+        require_at_least(1e-3, kind_floor=min(self.kind_floor, 1.0))  # all that is left at a score of 1; may be inf
 
 
 def level_difficulties(kind: str, max_difficulty: float, num_levels: int) -> np.ndarray:
@@ -67,7 +67,7 @@ class Curriculum:
     """One frontier level per kind of course, shared by all robots.
 
     Every episode played on the frontier moves the score of its kind towards its waypoint
-    fraction, and the score moves the frontier.  Kinds that lag are played more often.
+    fraction, and the score moves the frontier.  Kinds with a low score are played more often.
 
     A robot keeps its variant for life, dealt out in blocks: neighbouring robots then share courses,
     and physics that stays in the processor's cache is a tenth faster.
@@ -97,8 +97,9 @@ class Curriculum:
         if waypoint_fraction is not None:
             for robot, fraction in zip(ids, waypoint_fraction, strict=True):
                 self._score(self.kind[robot], self.level[robot], fraction)
-        # w_k = floor + (1 - frontier_k / top): what lags is drawn more often
-        weight = np.ones(len(self.frontier)) if np.isinf(c.kind_floor) else c.kind_floor + 1.0 - self.levels()
+        # w_k = floor + (1 - score_k): where robots fail on the frontier is drawn more often
+        evenly = np.isinf(c.kind_floor) or not c.enabled
+        weight = np.ones(len(self.score)) if evenly else c.kind_floor + 1.0 - self.score
         self.kind[ids] = rng.choice(len(weight), len(ids), p=weight / weight.sum())
         frontier = self.frontier[self.kind[ids]]
         easier = rng.integers(0, frontier + 1)

@@ -4,7 +4,7 @@ Paper sections 3.1 and 4.1, and the Extreme Parkour code base; docs/differences.
 values beside ours.  :class:`EnvConfig` holds everything about an episode but the courses, as
 numbers that a reader may change; the docstring of :class:`Go1Env` is the manual.
 
-In:  a :class:`~agility_ref.world.World` and, each control step, N actions.
+In:  a :class:`~agility_ref.world.World` and, each step, N actions.
 Out: observation, reward, terminated, truncated, info.
 """
 
@@ -30,17 +30,17 @@ class EnvConfig:
     rewards: RewardConfig = RewardConfig()  # weights of the reward terms
     action_scale: float = 0.3  # joint offset per unit of action [rad]; usual 0.25 to 0.5
     action_limit: float = 4.0  # actions are clipped to +- this; 4 x 0.3 = 1.2 rad, the original's limit
-    action_repeat: int = 1  # control steps for which an action is held, the paper's "action stacking" ablation; 1 to 5
+    action_repeat: int = 2  # control steps that share an action; the paper found its "action stacking" to hurt; 1 to 5
     episode_seconds: float = 20.0  # an episode is truncated after this time [s]
     command_low: float = 0.7  # lowest commanded speed [m/s]; at the original's 0.3 time is up before the course ends
     command_high: float = 1.0  # highest commanded speed [m/s]; original 0.8
     waypoint_radius: float = 0.2  # a waypoint counts while the trunk's xy is within this distance [m]
-    waypoint_seconds: float = 0.1  # ... and is reached after staying there for this long [s]
+    waypoint_seconds: float = 0.1  # ... and is reached after staying there for this long [s], rounded to 2 steps
     max_tilt: float = 1.4  # angle between trunk and vertical beyond which a robot has tipped over [rad]
     fall_clearance: float = 0.05  # a trunk that is less than this above the ground it should walk over has fallen [m]
     start_noise: float = 0.1  # starts differ by this in position [m], yaw and joints [rad]; usual 0.05 to 0.2
     noise: float = 1.0  # scale of the observation noise; 0 turns it off
-    scandot_period: int = 2  # actions between two looks at the ground; 2 is 25 Hz, the original has 10 Hz
+    scandot_period: int = 1  # actions between two looks at the ground; 1 is 25 Hz, the original has 10 Hz
     push_interval: float = 6.0  # seconds between pushes; 0 turns them off; original: 8 in training, 6 in evaluation
     push_velocity: float = 0.5  # a push sets the horizontal velocity to a draw from +- this [m/s]
     friction_low: float = 0.6  # lowest ground friction, drawn per course; original 0.6
@@ -79,7 +79,8 @@ class Go1Env:
 
     **Action** (N, 12): joint position targets as offsets from the home pose, in units of
     ``action_scale``; legs FR, FL, RR, RL, joints hip, thigh, calf.  MuJoCo position
-    actuators apply kp, kd and the torque limits.  50 Hz.
+    actuators apply kp, kd and the torque limits.  Control runs at the paper's
+    50 Hz, and ``action_repeat`` steps of it share an action: 25 actions per second.
 
     **Observation** (N, 184) float32, see OBSERVATION for the order and the noise:
 
@@ -110,7 +111,7 @@ class Go1Env:
 
     **Info**: ``reward_terms``, each (N,); ``final_obs`` (N, 184), of a robot that is done its true
     last observation, with the scandots last taken, of any other the one returned; ``totals``, for every robot
-    the running ``reward``, ``length``, ``waypoints`` and ``edge`` sums *before* the reset, to be read
+    the running ``reward``, ``length`` in steps, ``waypoints`` and ``edge`` sums *before* the reset, to be read
     where it is done; ``feet_on_edge`` (N,), feet that violate an edge in this step; ``kind`` (N,),
     number of the kind of course.
     **Autoreset**: Gymnasium's SAME_STEP, or DISABLED with ``autoreset=False``.
@@ -165,7 +166,7 @@ class Go1Env:
         self.foot_contact, self.foot_on_edge = np.zeros((2, n, 4), bool)
         self._reach_timer, self._step_count = np.zeros((2, n), int)
         self._reach_step = np.zeros(n, int)  # step count at the last waypoint
-        self.push_timer = np.zeros(n, int)  # control steps until the next push, 1 before the step that it strikes in
+        self.push_timer = np.zeros(n, int)  # steps until the next push, 1 before the step that it strikes in
         self._last_action = np.zeros((n, ACTION_DIM))
         self._scandots = np.zeros((n, NUM_SCANDOTS), np.float32)
         self._clock = np.array(0)  # actions since the environment was made
@@ -193,7 +194,7 @@ class Go1Env:
         return self.observation, {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
-        """Advance every robot by one control step, or by ``action_repeat`` of them.
+        """Advance every robot by one step, which is ``action_repeat`` control steps.
 
         Raises
         ------
@@ -351,7 +352,7 @@ class Go1Env:
     def _advance_waypoints(self) -> None:
         """Count the time near the current waypoint; move on when it has been reached.
 
-        The observation and the reward turn to the next waypoint a control step later.
+        The observation and the reward turn to the next waypoint a step later.
         """
         near = self._goal_distance < self.config.waypoint_radius
         self._reach_timer = (self._reach_timer + 1) * near

@@ -67,9 +67,9 @@ def reward_metric(reward: np.ndarray, alive: np.ndarray) -> np.ndarray:
     return (reward * alive).sum(axis=0)
 
 
-def episode_length(alive: np.ndarray) -> np.ndarray:
-    """Control steps of the episode: (T, N) -> (N,)."""
-    return alive.sum(axis=0)
+def episode_length(alive: np.ndarray, action_repeat: int) -> np.ndarray:
+    """Length of the episode in control steps, ``action_repeat`` to a step: (T, N) -> (N,)."""
+    return alive.sum(axis=0) * action_repeat
 
 
 def waypoint_fraction(waypoints: np.ndarray, alive: np.ndarray) -> np.ndarray:
@@ -101,7 +101,7 @@ class Evaluation:
     difficulty: np.ndarray  # (N,) difficulty of the course
     skill: np.ndarray | None  # (T, N) skill chosen, -1 after the end; None for a policy without skills and as published
     oracle: np.ndarray | None  # (T, N) skill the oracle wanted, likewise
-    dt: float = EnvConfig().dt  # control time step [s]
+    dt: float = EnvConfig().dt  # time between two actions [s]
 
 
 @lru_cache(maxsize=1)  # 2 MB per course, and a table goes through one terrain after another
@@ -165,7 +165,7 @@ def evaluate(
     skill, oracle = (np.where(alive, r[k], -1) if k in r else None for k in ("skill", "oracle"))
     return Evaluation(
         policy.name, environment, config,
-        reward=reward_metric(r["reward"], alive), episode_length=episode_length(alive),
+        reward=reward_metric(r["reward"], alive), episode_length=episode_length(alive, env.config.action_repeat),
         waypoint_fraction=waypoint_fraction(r["waypoints"], alive), edge_violation=edge_violation(r["edge"], alive),
         fell=(r["terminated"] & alive).any(axis=0), difficulty=env.world.difficulties,
         skill=skill, oracle=oracle, dt=env.config.dt,

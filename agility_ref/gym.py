@@ -56,7 +56,7 @@ class Go1VectorEnv(VectorEnv):
     num_threads : simulation threads, 0 for all cores; results do not depend on it
     """
 
-    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 25}  # noqa: RUF012
 
     def __init__(
         self, kind: str, num_envs: int = 1, difficulty: float | tuple[float, float] = (0.0, 1.0), courses: int = 8,

@@ -126,7 +126,7 @@ class EquivariantMLP(nn.Module):
         even, odd = parts.split([self.own[0].in_features, self.other[0].in_features], 1)
         for layer, (w_even, w_odd) in zip(self.own, self.blocks(), strict=True):
             even, odd = nn.functional.linear(even, w_even, layer.bias), nn.functional.linear(odd, w_odd)
-            u, v = nn.functional.elu(even + odd), nn.functional.elu(even - odd)
+            u, v = nn.functional.elu(even + odd, inplace=True), nn.functional.elu(even - odd, inplace=True)
             even, odd = (u + v) * SQRT_HALF, (u - v) * SQRT_HALF
         return torch.cat([last(x) for last, x in zip(self.last, (even, odd), strict=False)], -1) @ self.join
 

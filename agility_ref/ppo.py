@@ -28,10 +28,10 @@ class PPOConfig:
     """Hyper-parameters, the same for every policy of Table 1 unless said otherwise."""
 
     num_envs: int = 256  # robots simulated side by side; usual 64 to 4096
-    num_steps: int = 16  # control steps per robot and iteration; usual 16 to 64
+    num_steps: int = 16  # steps per robot and iteration; usual 16 to 64
     update_epochs: int = 4  # passes over the batch per iteration; usual 3 to 10
     num_minibatches: int = 4  # minibatches per pass; usual 2 to 8
-    gamma: float = 0.99  # discount per control step; usual 0.97 to 0.995
+    gamma: float = 0.99  # discount per step of 40 ms, of all but walk (walk-gamma); usual 0.97 to 0.995
     gae_lambda: float = 0.95  # weight of longer returns in the advantage; usual 0.9 to 0.97
     clip_coef: float = 0.2  # how far the policy ratio may move before its gradient stops; usual 0.1 to 0.3
     ent_coef: float = 0.005  # weight of the entropy bonus; usual 0 to 0.01

@@ -3,7 +3,7 @@
 The terms are those of the Extreme Parkour code base, which the paper uses "as per
 original paper" (section 3.2.2): github.com/chengxuxin/extreme-parkour,
 ``legged_gym/envs/base/legged_robot.py``.  In: a :class:`StepState`, the robots' state
-after one control step.  Out: each term as an array over robots; the reward is
+after one step.  Out: each term as an array over robots; the reward is
 
     reward = dt * sum_k weight_k * term_k
 
@@ -24,9 +24,9 @@ STANDING_SHARE = 0.3  # of the commanded speed: slower than this a robot stands
 
 @dataclass
 class StepState:
-    """What the reward terms read, for N robots after one control step."""
+    """What the reward terms read, for N robots after one step."""
 
-    dt: float  # control time step [s]
+    dt: float  # time between two actions [s]
     base_lin_vel: np.ndarray  # (N, 3) velocity of the trunk in its own frame [m/s]
     base_ang_vel: np.ndarray  # (N, 3) angular velocity of the trunk in its own frame [rad/s]
     projected_gravity: np.ndarray  # (N, 3) unit gravity vector in the trunk's frame; (0, 0, -1) when level
@@ -37,10 +37,10 @@ class StepState:
     on_level_course: np.ndarray  # (N,) bool, robots on the walk course
     dof_pos: np.ndarray  # (N, 12) [rad]
     dof_vel: np.ndarray  # (N, 12) [rad/s]
-    last_dof_vel: np.ndarray  # (N, 12) one control step earlier [rad/s]
+    last_dof_vel: np.ndarray  # (N, 12) one step earlier [rad/s]
     torque: np.ndarray  # (N, 12) [N m]
     action: np.ndarray  # (N, 12) as given by the policy
-    last_action: np.ndarray  # (N, 12) one control step earlier
+    last_action: np.ndarray  # (N, 12) one step earlier
     foot_force: np.ndarray  # (N, 4, 3) ground force on each foot in the world frame [N]
     foot_contact: np.ndarray  # (N, 4) bool, foot touches the ground
     foot_on_edge: np.ndarray  # (N, 4) bool, foot in contact within 5 cm of an edge

@@ -96,7 +96,7 @@ class SelectorEnv:
         self.reset = env.reset
 
     def step(self, skill: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
-        """Let the chosen skills (N,) act for one control step."""
+        """Let the chosen skills (N,) act for one step."""
         wanted = self.hierarchy.labels[self.env.oracle_skill()]
         action = self.hierarchy.execute(self.env.observation, skill)
         observation, reward, terminated, truncated, info = self.env.step(action)

@@ -265,7 +265,7 @@ class Trotters:
 class Taped:
     """An environment that remembers what its simulation was given, to replay it bare.
 
-    The replay starts every control step from the same states, models and controls as the
+    The replay starts every step from the same states, models and controls as the
     environment did, so both meet the same contacts; what differs is the environment's
     own work.
     """

@@ -43,7 +43,7 @@ class Config:
     rounds: int = 15
     """Rounds of the alternation; the median counts."""
     steps: int = 20
-    """Control steps a block."""
+    """Steps per block."""
     weights: str = ""
     """Checkpoint of a policy that drives the environment; an open-loop trot by default."""
     json: bool = False
@@ -54,7 +54,7 @@ def environment_over_physics(config: Config) -> dict:
     """Compare Go1Env.step with the Batch.step inside it."""
     env = Taped(Go1Env(World(mixed_courses(config.courses)), config.robots))
     policy = Policy.load(config.weights) if config.weights else None
-    targets = trot(config.robots, 20)  # 20 steps are one period of the trot
+    targets = trot(config.robots, 10, EnvConfig().dt)  # 10 steps are one period of the trot
     actions = (targets - DEFAULT_DOF_POS) / EnvConfig().action_scale
     observation = env.reset(0)[0]
     clock = 0
@@ -126,11 +126,11 @@ def main(config: Config) -> None:
         {"figure": "two threads over one, speed", "ratio": show(figures["threads_2_over_1"])},
     ]
     rates = {
-        "Go1Env.step": figures["environment_steps_per_second"],
-        "bare Batch.step": figures["bare_steps_per_second"],
-        **{f"physics, {name}": value for name, value in figures["physics_steps_per_second"].items()},
+        "Go1Env.step, 40 ms": figures["environment_steps_per_second"],
+        "bare Batch.step, 40 ms": figures["bare_steps_per_second"],
+        **{f"physics on {name}, 20 ms": value for name, value in figures["physics_steps_per_second"].items()},
     }
-    speeds = [{"control steps/s": name, "median": f"{value:.0f}"} for name, value in rates.items()]
+    speeds = [{"steps/s": name, "median": f"{value:.0f}"} for name, value in rates.items()]
     report(config.json, started, {"config": asdict(config), **figures}, ratios, speeds)
 
 

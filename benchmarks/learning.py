@@ -23,7 +23,7 @@ from agility_ref.policy import Policy
 from agility_ref.ppo import Learner, train
 from agility_ref.selector import Single
 from agility_ref.training.policies import find_policy, requirements
-from agility_ref.training.runs import TrainConfig, make_env
+from agility_ref.training.runs import TrainConfig, make_env, ppo_config
 from agility_ref.training.state import learner_state, policy_arrays, warm_start
 
 import numpy as np
@@ -100,8 +100,9 @@ def learn(
     ------
     UserError : nothing is left to train after the warm start
     """
-    env, curriculum = make_env(find_policy(name), config)
-    learner = Learner.create(OBS_MIRROR, ACTION_MIRROR, config.ppo, config.seed, fixed=SCANDOTS)
+    spec = find_policy(name)
+    env, curriculum = make_env(spec, config)
+    learner = Learner.create(OBS_MIRROR, ACTION_MIRROR, ppo_config(spec, config), config.seed, fixed=SCANDOTS)
     seconds, curve = 0.0, []
     if start is not None:
         warm_start(learner, start.arrays, start.steps, config.warm_std)

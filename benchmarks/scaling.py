@@ -37,7 +37,7 @@ def point(robots: int, courses: int, threads: int, seconds: float) -> dict:
     env = Go1Env(World(mixed_courses(courses)), robots, num_threads=threads)
     env.reset(0)
     ready = time.perf_counter()
-    actions = (trot(robots, 20) - DEFAULT_DOF_POS) / EnvConfig().action_scale
+    actions = (trot(robots, 10, EnvConfig().dt) - DEFAULT_DOF_POS) / EnvConfig().action_scale
     for action in actions:
         env.step(action)
     durations: list[float] = []

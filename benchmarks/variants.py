@@ -125,10 +125,10 @@ def _sees_more(actor_too: bool) -> None:
             found = np.array([(m.geom_friction[0, 0], m.body("trunk").mass[0]) for m in env.simulation.models])
             env.conditions = (found - found.mean(axis=0)) / (found.std(axis=0) + 1e-6)
         friction, payload = env.conditions[env.course].T
-        t, period = env.push_timer.astype(float), max(env._push_steps, 1)
+        t, period = env.push_timer * env.config.dt, max(env._push_steps, 1) * env.config.dt  # [s]
         more = np.stack(
             [
-                2 * t / period - 1, np.exp(-t / 10), np.exp(-t / 50), np.exp(-(period - t) / 10),
+                2 * t / period - 1, np.exp(-t / 0.2), np.exp(-t), np.exp(-(period - t) / 0.2),
                 2 * env._step_count / env.max_steps - 1, friction, payload,
                 (env.world.difficulties[env.course] - 0.5) / 0.3, env.waypoint_index / 4.0 - 1,
                 (env._step_count - env._reach_step) * env.config.dt / 5.0,

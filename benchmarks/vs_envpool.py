@@ -58,7 +58,8 @@ def compare(ground: str, config: Config) -> dict:
     rough = mixed_courses(config.courses, ("walk",))
     world = World(rough if ground == "rough" else [flat_course(course) for course in rough])
     targets = trot(config.robots, config.steps)
-    ours = Go1Env(world, config.robots, num_threads=config.threads)
+    task = EnvConfig(action_repeat=1, scandot_period=2)  # an action for each control step, as theirs
+    ours = Go1Env(world, config.robots, task, num_threads=config.threads)
     theirs = envpool.make(TASKS[ground], env_type="gymnasium", num_envs=config.robots, num_threads=config.threads)
     settings = theirs.spec.config._asdict()
     offset = targets - DEFAULT_DOF_POS  # both homes are (0, 0.9, -1.8)

@@ -22,6 +22,8 @@ from pathlib import Path
 from agility_ref.observation import ACTION_MIRROR, OBS_MIRROR, SCANDOTS
 from agility_ref.ppo import Learner, PPOConfig, train
 from agility_ref.terrain import NUM_WAYPOINTS
+from agility_ref.training.policies import find_policy
+from agility_ref.training.runs import TrainConfig, ppo_config
 
 import numpy as np
 import torch
@@ -77,7 +79,7 @@ class Race:
 
 def our_turns(race: Race, config: Config) -> Callable[[], None]:
     """Return a function that trains ours for one turn."""
-    ppo = replace(PPOConfig(), final_std=PPOConfig().init_std, anneal_share=0.0)
+    ppo = replace(ppo_config(find_policy("walk"), TrainConfig()), final_std=PPOConfig().init_std, anneal_share=0.0)
     env, _ = walk_training(config.seed, ppo.num_envs)
     learner = Learner.create(OBS_MIRROR, ACTION_MIRROR, ppo, config.seed, fixed=SCANDOTS)
     iterations = train(env, learner, config.steps)
@@ -99,7 +101,7 @@ def their_turns(race: Race, config: Config) -> Callable[[], None]:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecNormalize
 
-    ppo = PPOConfig()
+    ppo = ppo_config(find_policy("walk"), TrainConfig())
     envs = Go1VectorEnv("walk", ppo.num_envs, courses=1, autoreset_mode="SameStep")
     envs.go1, _ = walk_training(config.seed, ppo.num_envs, autoreset=False)  # our courses and curriculum
     hidden, progress = list(ppo.hidden), Progress(every=0)

@@ -48,7 +48,7 @@ class Args:
     """Minibatches of a pass."""
     learning_rate: float = 1e-3
     """Adam's at the start; it falls to zero on a straight line."""
-    gamma: float = 0.99
+    gamma: float = 0.98
     """Discount of a step."""
     gae_lambda: float = 0.95
     """Decay of the advantages' eligibility."""

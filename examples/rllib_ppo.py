@@ -65,7 +65,7 @@ def main(config: Config) -> float:
         .learners(num_learners=0)
         .training(
             train_batch_size_per_learner=config.batch_size, minibatch_size=config.batch_size // 4, num_epochs=4,
-            lr=3e-4, gamma=0.99, lambda_=0.95, clip_param=0.2, entropy_coeff=0.005, vf_loss_coeff=0.5, grad_clip=1.0,
+            lr=3e-4, gamma=0.98, lambda_=0.95, clip_param=0.2, entropy_coeff=0.005, vf_loss_coeff=0.5, grad_clip=1.0,
         )
         .rl_module(
             # RLlib's PPO has separate networks by default, its DefaultModelConfig shared ones

@@ -132,7 +132,7 @@ def main(config: Config) -> float:
     # epsilon: on nearly flat ground the 132 scandots would else be blown up to noise of size 1
     envs = VecNormalize(Go1VecEnv(robots), norm_reward=False, clip_obs=5.0, epsilon=0.1**2)
     model = PPO(
-        "MlpPolicy", envs, learning_rate=lambda left: 1e-3 * left, n_steps=16, batch_size=1024, n_epochs=4,
+        "MlpPolicy", envs, learning_rate=lambda left: 1e-3 * left, n_steps=16, batch_size=1024, n_epochs=4, gamma=0.98,
         ent_coef=0.005, max_grad_norm=1.0, target_kl=0.1, seed=config.seed, device="cpu",
         policy_kwargs={
             "net_arch": [256, 128],

@@ -101,7 +101,7 @@ def main(config: Config) -> float:
     )
     warm = env.fake_tensordict()
     actor(warm), critic(warm)  # the lazy layers learn their widths
-    advantage = GAE(gamma=0.99, lmbda=0.95, value_network=critic)
+    advantage = GAE(gamma=0.98, lmbda=0.95, value_network=critic)
     loss_module = ClipPPOLoss(
         actor, critic, clip_epsilon=0.2, entropy_coeff=0.005, critic_coeff=0.5, normalize_advantage=True
     )

@@ -206,27 +206,30 @@ def test_disabled_draws_all_levels_alike():
 # --- which kind ------------------------------------------------------------------------
 
 
-def shares(config, frontier):
+def shares(config, score, frontier=0):
     """Shares of the kinds among the episodes of many robots."""
-    curriculum = Curriculum(len(frontier), 20_000, config, seed=0)
-    curriculum.frontier[:] = frontier
+    curriculum = Curriculum(len(score), 20_000, config, seed=0)
+    curriculum.score[:], curriculum.frontier[:] = score, frontier
     curriculum.next_course(np.arange(20_000), None)
-    return np.bincount(curriculum.kind, minlength=len(frontier)) / 20_000
+    return np.bincount(curriculum.kind, minlength=len(score)) / 20_000
 
 
-def test_kinds_that_lag_are_drawn_more_often():
-    # w = 0.1 + 1 - frontier / 3: 1.1, 0.1 + 2/3, 0.1, of 1.9667 together
-    found = shares(PLAIN, [0, 1, 3])
-    np.testing.assert_allclose(found, np.array([1.1, 0.1 + 2 / 3, 0.1]) / (1.3 + 2 / 3), atol=0.01)
+def test_kinds_with_a_low_score_are_drawn_more_often():
+    # w = 0.1 + 1 - score: 1.1, 0.7, 0.1, of 1.9 together
+    np.testing.assert_allclose(shares(PLAIN, [0.0, 0.4, 1.0]), np.array([1.1, 0.7, 0.1]) / 1.9, atol=0.01)
 
 
-def test_kinds_at_one_level_get_equal_shares():
-    for frontier in (0, 2, 3):
-        np.testing.assert_allclose(shares(PLAIN, [frontier] * 4), 0.25, atol=0.015)
+def test_the_level_makes_no_difference_to_how_often_a_kind_is_drawn():
+    np.testing.assert_array_equal(shares(PLAIN, [0.4, 0.6, 0.9], [0, 1, 3]), shares(PLAIN, [0.4, 0.6, 0.9], [3, 3, 0]))
+
+
+def test_kinds_with_one_score_get_equal_shares():
+    for score in (0.0, 0.4, 1.0):
+        np.testing.assert_allclose(shares(PLAIN, [score] * 4, [0, 1, 2, 3]), 0.25, atol=0.015)
 
 
 def test_an_infinite_floor_draws_kinds_evenly():
-    np.testing.assert_allclose(shares(replace(PLAIN, kind_floor=np.inf), [0, 1, 3]), 1 / 3, atol=0.015)
+    np.testing.assert_allclose(shares(replace(PLAIN, kind_floor=np.inf), [0.0, 0.4, 1.0]), 1 / 3, atol=0.015)
 
 
 # --- reports and state -----------------------------------------------------------------

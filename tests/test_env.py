@@ -21,7 +21,7 @@ from agility_ref.world import World
 import numpy as np
 import pytest
 
-CLEAN = EnvConfig().clean()
+CLEAN = replace(EnvConfig().clean(), action_repeat=1, scandot_period=2)  # a step is one control step of 20 ms
 SLICES = observation_slices()
 
 
@@ -119,7 +119,10 @@ def test_same_seed_same_trajectory_at_any_thread_count(kind):
 
 
 def test_reset_with_a_seed_starts_over():
-    env, actions = make_env(config=EnvConfig()), random_actions(11, 4)  # an odd number: half the robots have looked
+    env, actions = (
+        make_env(config=EnvConfig(scandot_period=2)),
+        random_actions(11, 4),
+    )  # an odd number: half the robots have looked
     first_a, _ = env.reset(9)
     a = rollout(env, actions)
     first_b, _ = env.reset(9)
@@ -149,8 +152,9 @@ def test_models_of_a_world_have_equal_sizes():
     assert len({(m.nq, m.nv, m.nu, m.ngeom, m.nbody, m.nsensordata) for m in env.simulation.models}) == 1
 
 
-def test_control_runs_at_50_hz():
-    assert EnvConfig().dt == pytest.approx(0.02)
+def test_control_runs_at_50_hz_and_actions_come_at_half_of_it():
+    assert EnvConfig(action_repeat=1).dt == pytest.approx(0.02)
+    assert EnvConfig().dt == pytest.approx(0.04)
 
 
 # --- action ----------------------------------------------------------------------------
@@ -329,7 +333,7 @@ def test_noise_stays_within_its_amplitudes():
 
 
 def test_starts_do_not_depend_on_the_actions():
-    config = replace(EnvConfig(), episode_seconds=0.2)
+    config = replace(EnvConfig(), episode_seconds=0.4)
     commands = []
     for seed in (1, 2):
         env = make_env("walk", config=config, seed=3)
@@ -583,7 +587,7 @@ def test_last_waypoint_truncates():
 
 
 def test_robots_look_at_the_ground_in_turn():
-    period = EnvConfig().scandot_period
+    period = CLEAN.scandot_period
     env = make_env("gap", n=2 * period)
     before = env.reset(0)[0][:, SCANDOTS]
     looked = []
@@ -830,7 +834,7 @@ def test_a_push_replaces_the_horizontal_velocity():
 
 
 def test_first_pushes_are_spread_over_the_interval():
-    env = make_env(n=200, config=EnvConfig())
+    env = make_env(n=200, config=EnvConfig(action_repeat=1))  # 6 s are 300 steps
     assert env.push_timer.min() >= 1 and env.push_timer.max() <= 300
     assert env.push_timer.min() < 30 and env.push_timer.max() > 270
 

@@ -26,7 +26,7 @@ from agility_ref.world import World
 import numpy as np
 import pytest
 
-SHORT = EnvConfig(episode_seconds=0.6)  # 30 steps
+SHORT = EnvConfig(episode_seconds=1.2)  # 30 steps, each of two control steps
 FEW = EvaluationConfig(episodes=3, seed=1)
 SLICES = observation_slices()
 
@@ -46,7 +46,8 @@ def test_reward_by_hand():
 
 
 def test_episode_length_by_hand():
-    np.testing.assert_array_equal(episode_length(ALIVE), [5, 3])
+    np.testing.assert_array_equal(episode_length(ALIVE, 1), [5, 3])
+    np.testing.assert_array_equal(episode_length(ALIVE, 2), [10, 6])
 
 
 def test_waypoint_fraction_by_hand():
@@ -153,7 +154,7 @@ def test_evaluation_has_one_number_an_episode(single):
     evaluation = evaluate(single, "gap", FEW, SHORT)
     assert all(values.shape == (3,) for values in arrays(evaluation).values())
     assert evaluation.skill is None and evaluation.oracle is None
-    assert (evaluation.episode_length >= 1).all() and (evaluation.episode_length <= 30).all()
+    assert (evaluation.episode_length >= 1).all() and (evaluation.episode_length <= 60).all()
     assert ((evaluation.edge_violation >= 0) & (evaluation.edge_violation <= 4)).all()
 
 
@@ -175,7 +176,7 @@ def test_policies_meet_the_same_courses_and_commands(make_policy):
             return super().act(observation, env)
 
     for seed in (0, 1):
-        evaluate(Noting("noting", make_policy(seed, gain=100.0)), "gap", FEW, EnvConfig(episode_seconds=0.02))
+        evaluate(Noting("noting", make_policy(seed, gain=100.0)), "gap", FEW, EnvConfig(episode_seconds=0.04))
     (obs_a, command_a, world_a), (obs_b, command_b, world_b) = starts
     np.testing.assert_array_equal(obs_a, obs_b)
     np.testing.assert_array_equal(command_a, command_b)
@@ -184,7 +185,7 @@ def test_policies_meet_the_same_courses_and_commands(make_policy):
 
 def test_episodes_are_complete(single):
     evaluation = evaluate(single, "walk", FEW, SHORT)
-    np.testing.assert_array_equal(evaluation.episode_length[~evaluation.fell], 30)
+    np.testing.assert_array_equal(evaluation.episode_length[~evaluation.fell], 60)
 
 
 class Jump(Single):
@@ -200,7 +201,7 @@ class Jump(Single):
 def test_falls_are_told_from_time_outs(make_policy):
     evaluation = evaluate(Jump("jump", make_policy()), "walk", FEW, SHORT)
     np.testing.assert_array_equal(evaluation.fell, [True, False, False])
-    np.testing.assert_array_equal(evaluation.episode_length, [3, 30, 30])
+    np.testing.assert_array_equal(evaluation.episode_length, [6, 60, 60])
 
 
 def test_what_happens_after_the_first_episode_does_not_count(make_policy):
@@ -217,7 +218,7 @@ def test_what_happens_after_the_first_episode_does_not_count(make_policy):
 
     evaluation = evaluate(Finish("finish", make_policy()), "walk", FEW, SHORT)
     assert not evaluation.fell.any()
-    np.testing.assert_array_equal(evaluation.episode_length, [2, 30, 30])
+    np.testing.assert_array_equal(evaluation.episode_length, [4, 60, 60])
     np.testing.assert_array_equal(evaluation.waypoint_fraction, [1.0, 0.0, 0.0])
 
 
@@ -225,7 +226,7 @@ def test_reward_is_that_of_the_first_episode_only(make_policy):
     # Robot 0 leaves the lane in step 3; what it does until the others end, in step 30, must not count.
     long, short = (
         evaluate(Jump("jump", make_policy()), "walk", FEW, config)
-        for config in (SHORT, EnvConfig(episode_seconds=0.06))
+        for config in (SHORT, EnvConfig(episode_seconds=0.12))
     )
     assert long.reward[0] == short.reward[0] != 0.0
     assert long.edge_violation[0] == short.edge_violation[0]
@@ -257,7 +258,7 @@ PUBLISHED = replace(FEW, protocol="as-published")
 def test_who_falls_early_counts_several_times(make_policy):
     evaluation = evaluate_by_protocol(Jump("jump", make_policy()), "walk", PUBLISHED, SHORT)
     # 45 steps: robot 0 ends in steps 3 and 33, the others in step 30 alone
-    np.testing.assert_array_equal(evaluation.episode_length, [3, 30, 30, 30])
+    np.testing.assert_array_equal(evaluation.episode_length, [6, 60, 60, 60])
     np.testing.assert_array_equal(evaluation.fell, [True, False, False, False])
     d = evaluation_world("walk", PUBLISHED).difficulties
     np.testing.assert_array_equal(evaluation.difficulty, d[[0, 1, 2, 0]])
@@ -296,9 +297,9 @@ def test_skills_are_recorded_until_the_end(five_skills):
     hierarchy = Hierarchy("always leap", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3), np.arange(5))
     evaluation = evaluate(hierarchy, "gap", FEW, SHORT)
     assert evaluation.skill.shape == evaluation.oracle.shape
-    np.testing.assert_array_equal((evaluation.skill == 3).sum(axis=0), evaluation.episode_length)
+    np.testing.assert_array_equal((evaluation.skill == 3).sum(axis=0), evaluation.episode_length / 2)
     np.testing.assert_array_equal(
-        (evaluation.skill == -1).sum(axis=0), len(evaluation.skill) - evaluation.episode_length
+        (evaluation.skill == -1).sum(axis=0), len(evaluation.skill) - evaluation.episode_length / 2
     )
 
 
@@ -315,9 +316,9 @@ def test_edges_are_counted_step_by_step(make_policy, monkeypatch):
     assert evaluate(Single("random", make_policy()), "walk", FEW, SHORT).edge_violation.tolist() == [2.0] * 3
 
 
-def test_environment_steps_are_those_of_all_episodes(make_policy):
+def test_control_steps_are_those_of_all_episodes(make_policy):
     e = evaluate(Single("random", make_policy()), "walk", FEW, SHORT)
-    assert summary(e)["environment_steps"] == 90
+    assert summary(e)["control_steps"] == 180
 
 
 def test_the_seed_of_an_evaluation_decides_the_starts(make_policy, monkeypatch):
@@ -333,6 +334,6 @@ def test_the_seed_of_an_evaluation_decides_the_starts(make_policy, monkeypatch):
     world = evaluation_world("gap", FEW)
     monkeypatch.setattr(evaluation_module, "evaluation_world", lambda *_: world)
     for seed in (1, 2):
-        evaluate(Noting("noting", make_policy()), "gap", replace(FEW, seed=seed), EnvConfig(episode_seconds=0.02))
+        evaluate(Noting("noting", make_policy()), "gap", replace(FEW, seed=seed), EnvConfig(episode_seconds=0.04))
     for first, second in zip(*seen, strict=True):
         assert (first != second).all()

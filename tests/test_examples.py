@@ -57,10 +57,10 @@ def make_vec(**config):
 
 
 def test_stable_baselines3_learns_how_an_episode_ended():
-    envs = example("sb3_ppo").Go1VecEnv(make_vec(episode_seconds=0.1))
+    envs = example("sb3_ppo").Go1VecEnv(make_vec(episode_seconds=0.2))
     envs.seed(3)
     obs = envs.reset()
-    twin = make_vec(episode_seconds=0.1)
+    twin = make_vec(episode_seconds=0.2)
     np.testing.assert_array_equal(obs, twin.reset(seed=3)[0])
     for t in range(5):
         if t == 2:  # beside the lane

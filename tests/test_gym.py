@@ -18,9 +18,9 @@ from agility_ref.errors import UserError  # noqa: E402
 from agility_ref.terrain import COURSE_KINDS, NUM_WAYPOINTS  # noqa: E402
 
 MODES = gymnasium.vector.AutoresetMode
-SHORT = EnvConfig(episode_seconds=0.1)  # 5 steps
+SHORT = EnvConfig(episode_seconds=0.2)  # 5 steps
 # nothing is drawn: a robot of the batch meets what a robot alone meets
-FIXED = replace(SHORT.clean(), start_noise=0.0, command_low=1.0, command_high=1.0, scandot_period=1)
+FIXED = replace(SHORT.clean(), start_noise=0.0, command_low=1.0, command_high=1.0)
 
 
 def single(name="Climb", difficulty=0.3, courses=1, **options):

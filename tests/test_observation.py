@@ -99,7 +99,7 @@ def test_mirror_image_of_a_turned_robot():
         boxes=tuple(replace(b, y0=-b.y1, y1=-b.y0) for b in course.boxes),
         waypoints=course.waypoints * [1, -1],
     )
-    config = replace(EnvConfig().clean(), scandot_period=1)
+    config = replace(EnvConfig().clean(), action_repeat=1, scandot_period=1)
     env = Go1Env(World([course, flipped]), 2, config, lambda ids, fraction: ids)
     rng = np.random.default_rng(0)
     env.command[:] = 1.0

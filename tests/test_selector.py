@@ -151,7 +151,7 @@ def test_oracle_reward_is_plus_or_minus_dt(env, five_skills):
     spread(env)
     chosen = np.array([SKILLS.index(s) for s in ("walk", "walk", "climb-up", "leap")])  # right, wrong, right, wrong
     _, reward, *_ = selector_env.step(chosen)
-    np.testing.assert_allclose(reward, [0.02, -0.02, 0.02, -0.02])
+    np.testing.assert_allclose(reward, [0.04, -0.04, 0.04, -0.04])  # 25 Hz
 
 
 def test_environment_reward_is_passed_on(env, five_skills):
@@ -176,7 +176,7 @@ def test_selector_env_passes_on_how_episodes_end(env, five_skills):
     env._qpos[2, 1] = 5.0  # outside the lane
     observation, reward, terminated, truncated, info = selector_env.step(np.zeros(4, int))
     np.testing.assert_array_equal(terminated, [False, False, True, False])
-    assert not truncated.any() and reward[2] == 0.02  # walking, where walking was right
+    assert not truncated.any() and reward[2] == 0.04  # walking, where walking was right
     others = [0, 1, 3]
     np.testing.assert_array_equal(info["final_obs"][others], observation[others])
     assert (info["final_obs"][2] != observation[2]).any()
@@ -194,7 +194,7 @@ def test_oracle_reward_over_three_skills(env, three_skills):
     selector_env.reset(0)
     spread(env)  # before nothing, a gap, a step, a beam
     _, reward, *_ = selector_env.step(np.array([0, 2, 1, 0]))  # walk, leap, climb, and walk in the place of beam
-    np.testing.assert_allclose(reward, 0.02)
+    np.testing.assert_allclose(reward, 0.04)
 
 
 def test_a_selector_of_three_knows_the_oracles_labels(three_skills):

@@ -22,8 +22,6 @@
 # writes them into the folder `figures/` of the directory you start it from.
 
 # %%
-from dataclasses import replace
-
 from agility_ref.env import EnvConfig, Go1Env
 from agility_ref.observation import SCANDOT_X, SCANDOT_Y, SCANDOTS, wrap
 from agility_ref.pictures.plots import SKILL_COLOURS, new_figure, show
@@ -196,7 +194,7 @@ def scandots(position, yaw, h):
 
 # %% [markdown]
 # The environment computes the same thing for all robots at once.  To compare, we put three robots in front of the first
-# gap, looking left, ahead and right, let the simulation take one control step, and read the dots out of the observation.
+# gap, looking left, ahead and right, let the environment take one step, and read the dots out of the observation.
 #
 # *What you should see:* three fans of dots over the same gap, turned by the yaw; dots over the pit are red (lower),
 # dots over level ground pale.
@@ -204,8 +202,7 @@ def scandots(position, yaw, h):
 # %%
 kind = "gap"
 yaws = np.array([0.5, 0.0, -0.5])  # [rad]
-config = replace(EnvConfig().clean(), scandot_period=1)  # every robot looks at every step
-env = Go1Env(World([courses[kind]]), num_envs=3, config=config)
+env = Go1Env(World([courses[kind]]), num_envs=3, config=EnvConfig().clean())
 env.reset(seed=0)
 qpos = env.simulation.qpos  # (3, 19): xyz, quaternion wxyz, 12 joints; a live view
 qpos[:, 0], qpos[:, 1] = 1.93, 0.0

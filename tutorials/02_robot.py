@@ -94,7 +94,7 @@ show(figure, "02_home_pose")
 # %% [markdown]
 # ## 2.2 A motor is a spring, a damper and a limit
 #
-# The policy does not command torques.  It names a target angle for every joint, 50 times a
+# The policy does not command torques.  It names a target angle for every joint, 25 times a
 # second, and a PD controller turns that into a torque:
 #
 # $$q_\text{target} = q_\text{home} + \text{action\_scale} \cdot a \quad [\text{rad}], \qquad
@@ -205,7 +205,7 @@ for name, part in observation_slices().items():
 # %% [markdown]
 # ## 2.4 The reward, term by term
 #
-# Each term is one function in `rewards.py`; the reward of a control step is their weighted sum
+# Each term is one function in `rewards.py`; the reward of a step is their weighted sum
 #
 # $$r = \Delta t \sum_k w_k\, \text{term}_k$$
 #
@@ -304,7 +304,8 @@ axes[1, 0].imshow(
 axes[1, 0].set_yticks(range(4), LEGS)
 axes[1, 0].set(xlabel="time [s]", ylabel="foot", xlim=(0, t[-1]))
 show(figure, "02_contact")
-print(f"in the last second the feet carry {np.mean(force[-50:]):.3f} of the weight of {weight:.1f} N")
+carried = np.mean(force[-round(1.0 / config.dt) :])
+print(f"in the last second the feet carry {carried:.3f} of the weight of {weight:.1f} N")
 print(f"trunk at {env.base_pos[0, 2]:.3f} m; with stiff knees it would stand at {STAND_HEIGHT} m")
 
 # %% [markdown]

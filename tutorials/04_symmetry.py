@@ -95,7 +95,7 @@ observation, _ = env.reset(seed=0)
 env.command[:] = 0.8  # [m/s] both asked for the same
 rng = np.random.default_rng(0)
 sideways, error, joints = [], [], observation_slices()["dof_pos"]
-for _ in range(100):
+for _ in range(round(2.0 / ideal.dt)):
     action = rng.normal(0.0, 0.5, ACTION_DIM)
     observation, *_ = env.step(np.stack([action, ACTION_MIRROR(action)]))
     sideways.append(env.base_pos[:, 1])
@@ -115,7 +115,7 @@ for axis in (left, right):
 show(figure, "04_two_robots")
 print(
     f"joint angles differ from the mirror image by {error[0]:.0e} rad after the first step, "
-    f"by up to {max(error[:25]):.0e} rad in the first half second, by up to {max(error):.2f} rad in two"
+    f"by up to {max(error[: round(0.5 / ideal.dt)]):.0e} rad in the first half second, by up to {max(error):.2f} rad in two"
 )
 trunk = env.simulation.models[0].body("trunk")
 print(f"the trunk's centre of mass is {1000 * trunk.ipos[1]:+.0f} mm to the left of its middle")

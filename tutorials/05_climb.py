@@ -43,7 +43,7 @@ from agility_ref.training.state import policy_arrays, warm_start
 import numpy as np
 
 STARTED = time.perf_counter()
-STEPS = 1_200_000  # environment steps of training, 6.7 hours of one robot's life
+STEPS = 1_200_000  # environment steps of training, 13 hours of one robot's life
 config = TrainConfig(preset="quick", seed=0)
 settings = EvaluationConfig(episodes=24, preset="quick")
 
@@ -125,8 +125,9 @@ print(
 )
 
 # %% [markdown]
-# *What you should see:* the thick line on the left hardly rises, while the frontier on the right climbs like a staircase.
-# The score is a saw: it rises to 0.75, the frontier moves, and it starts again at 0.4.
+# *What you should see:* once the robots are used to the lowest steps, the thick line on the left hardly rises, while the frontier
+# on the right climbs like a staircase.  The score is a saw: it rises to 0.75, the frontier moves, and it starts again at 0.4.  Only
+# on the top level, where nothing harder follows, does it stay up.
 
 # %%
 figure, axes = new_figure(1, 2, (11.0, 3.8))
@@ -149,7 +150,7 @@ show(figure, "05_learning_curve")
 # <details><summary>Answer, and the surprise</summary>
 #
 # A learning curve that does not rise, of a robot that learns.  The curriculum makes the task harder exactly as fast as the robot
-# gets better, so the fraction of the waypoints stays between the thresholds for as long as there are harder levels.  Whoever
+# gets better, so the fraction of the waypoints stays where it is for as long as there are harder levels.  Whoever
 # looks at the left picture alone stops the training: "it has converged".  With a curriculum, progress is where the
 # **frontier** is; success on the levels of the moment says nothing, and neither does the reward.
 #

@@ -13,7 +13,7 @@
 # %% [markdown]
 # # 6. Selectors: a bank of specialists, and who chooses
 #
-# Five specialists, each good at one thing.  Something has to name the one that acts, 50 times a second.  This tutorial
+# Five specialists, each good at one thing.  Something has to name the one that acts, 25 times a second.  This tutorial
 # starts with somebody who knows the map (the oracle), learns the choice from what the robot sees (supervised, then
 # DAgger), and ends with a selector that learns by trial and error, and with the way in which those go wrong: they forget
 # skills (paper section 3.2).
@@ -35,6 +35,7 @@ from agility_ref.training.bank import load_bank, load_policy
 from agility_ref.training.imitation import SupervisedConfig, collect_labels, fit_selector
 from agility_ref.training.policies import find_policy
 from agility_ref.training.runs import TrainConfig, make_env
+from agility_ref.training.weights import shipped_seeds
 
 import numpy as np
 
@@ -197,7 +198,7 @@ for what, after, before in (
 three = load_bank(find_policy("ps-rl-3").skills, config)
 NAMES = tuple(three)
 rows = {"oracle": evaluate(oracle_hierarchy("oracle", three), "climb-gap", settings)}
-for reward, seeds in (("env", (0, 1, 2)), ("oracle", (0,))):
+for reward, seeds in (("env", shipped_seeds("full", "ps-rl-3-env")), ("oracle", [0])):
     for seed in seeds:
         chosen = evaluate(load_policy(f"ps-rl-3-{reward}", replace(config, seed=seed)), "climb-gap", settings)
         rows[f"rewarded by {'the environment' if reward == 'env' else 'the oracle'}, seed {seed}"] = chosen

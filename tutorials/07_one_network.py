@@ -163,7 +163,7 @@ show(figure, "07_advantages")
 # Then let this student drive while the bank says what it would have done (DAgger), and fit again.  It is never told which
 # specialist acts, or that there are five.
 #
-# **Predict, then run.**  25,000 states are eight minutes of one robot's life.  How far does the student get on `climb-gap`,
+# **Predict, then run.**  25,000 states are seventeen minutes of one robot's life.  How far does the student get on `climb-gap`,
 # with the bank's states alone and with its own as well?
 
 # %%

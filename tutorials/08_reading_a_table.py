@@ -14,7 +14,7 @@
 # # 8. Reading a table: what may be claimed
 #
 # Table 1 has 43 cells, each a mean with a ± behind it.  This tutorial asks what that ± says, why two policies should
-# play the same courses, what a training seed is, and how often an interval of "95 %" is wrong if it rests on three of
+# play the same courses, what a training seed is, and how often an interval of "95 %" is wrong if it rests on few of
 # them.  Nothing is trained here: two generalists that ship with the package play, and the rest is chance that we
 # simulate, where the truth is known.
 #
@@ -26,15 +26,17 @@ import time
 
 from agility_ref.evaluate import EvaluationConfig, evaluate
 from agility_ref.pictures.plots import BLUE, GREEN, GREY, ORANGE, RED, new_figure, show
-from agility_ref.results.findings import over_seeds, paired
+from agility_ref.results.findings import Comparison, paired
 from agility_ref.stats import bootstrap_interval, paired_difference, t_interval
 from agility_ref.training.bank import load_policy
 from agility_ref.training.runs import TrainConfig
+from agility_ref.training.weights import shipped_seeds
 
 import numpy as np
 
 STARTED = time.perf_counter()
-POLICIES, SEEDS, TERRAINS = ("distilled", "gen-5"), (0, 1, 2), ("climb-gap", "beam")
+POLICIES, TERRAINS = ("distilled", "gen-5"), ("climb-gap", "gap")
+SEEDS = shipped_seeds("full", "distilled")  # those of gen-5 too
 COLOURS = dict(zip(POLICIES, (BLUE, ORANGE), strict=True))
 settings = EvaluationConfig(episodes=32)
 
@@ -42,9 +44,8 @@ settings = EvaluationConfig(episodes=32)
 # ## 8.1 What the ± says
 #
 # Two generalists: `gen-5`, which PPO trained on the courses of five skills, and `distilled`, which imitates a bank of
-# five specialists.  Each was trained three times, with the training seeds 0, 1 and 2, and each of the six networks plays
-# the same 32 courses of two terrains: $x_{s,e}$ is the fraction of the waypoints that the network of seed $s$ reaches
-# in episode $e$.
+# five specialists.  Each was trained anew with every one of `SEEDS`, and all of these networks play the same 32 courses of
+# two terrains: $x_{s,e}$ is the fraction of the waypoints that the network of seed $s$ reaches in episode $e$.
 
 # %%
 scores, difficulty = {}, {}  # (policy, terrain) -> (S, E) waypoint fractions; terrain -> (E,)
@@ -142,7 +143,7 @@ for terrain in TERRAINS:
 # All this was about **one** network of each kind.  Whoever asks whether a *recipe* is better must train again, with
 # another seed for the initial weights, the courses and the exploration.
 #
-# *What you should see:* one dot for each network.  Where the three dots of one colour lie further apart than the two
+# *What you should see:* one dot for each network.  Where the dots of one colour lie further apart than the two
 # colours, the difference that one pair of networks shows is a matter of luck.
 
 # %%
@@ -152,7 +153,7 @@ for column, terrain in enumerate(TERRAINS):
     for shift, policy in ((-0.12, "distilled"), (0.12, "gen-5")):
         means = scores[policy, terrain].mean(axis=1)
         axis.plot(
-            [column + shift] * 3,
+            [column + shift] * len(SEEDS),
             means,
             "o",
             color=COLOURS[policy],
@@ -175,7 +176,7 @@ show(figure, "08_seeds")
 # Two intervals for the mean of a recipe are in use.  The **bootstrap** draws seeds with replacement from those that were
 # trained, and takes the middle 95 % of the means.  **Student's** assumes that the seeds' means are about normal:
 #
-# $$\bar x \pm t_{S-1} \frac{s}{\sqrt{S}}, \qquad s^2 = \frac{1}{S-1} \sum_s (x_s - \bar x)^2, \qquad t_2 = 4.30,\; t_9 = 2.26$$
+# $$\bar x \pm t_{S-1} \frac{s}{\sqrt{S}}, \qquad s^2 = \frac{1}{S-1} \sum_s (x_s - \bar x)^2, \qquad t_1 = 12.7,\; t_2 = 4.30,\; t_9 = 2.26$$
 #
 # Which of them holds what it promises can be tried out where we know the truth: invent a recipe whose seeds scatter around
 # 0.7 with a standard deviation of 0.05, "train" it $S$ times, and ask whether the interval contains 0.7.  Do that 500 times.
@@ -277,9 +278,15 @@ for name, numbers in found.items():
 #
 # *What you should see:* three intervals for each terrain.  The first is about the two networks of seed 0, the second
 # resamples seeds and courses together and is too short, as 8.4 has shown, and the third, about recipes, is Student's over
-# three differences.
+# one difference per seed.
+
 
 # %%
+def student(differences):
+    """Compare over one difference per training seed."""
+    return Comparison("distilled - gen-5", differences.mean(), *t_interval(differences), seeds=len(differences))
+
+
 figure, axes = new_figure(1, 1, (8.0, 3.6))
 axis, row, labels = axes[0, 0], 0, []
 for terrain in TERRAINS:
@@ -287,7 +294,7 @@ for terrain in TERRAINS:
     for text, colour, comparison in (
         ("networks of seed 0", GREY, paired("distilled - gen-5", a[:1], b[:1])),
         ("bootstrap, seeds and courses", RED, paired("distilled - gen-5", a, b)),
-        ("Student, three seeds", GREEN, over_seeds("distilled - gen-5", (a - b).mean(axis=1))),
+        (f"Student, {len(SEEDS)} seeds", GREEN, student((a - b).mean(axis=1))),
     ):
         axis.plot([comparison.low, comparison.high], [row, row], color=colour, linewidth=4)
         axis.plot(comparison.difference, row, "o", color="black", markersize=6)
@@ -307,8 +314,8 @@ print(f"time: {time.perf_counter() - STARTED:.0f} s")
 #
 # <details><summary>Answer</summary>
 #
-# Take the last line of `climb-gap`, for only that one is about recipes.  If its verdict is *undecided*: "Over three training
-# seeds the difference was (the number), with a 95 % interval of (the two ends); three seeds are too few to settle which of
+# Take the last line of `climb-gap`, for only that one is about recipes.  If its verdict is *undecided*: "Over so many training
+# seeds the difference was (the number), with a 95 % interval of (the two ends); they are too few to settle which of
 # the two is better."  If it is *reproduced* or *not reproduced*, name the interval all the same, and say that this
 # comparison was one of two.  What no line here carries is "distilled is better": that would be about all courses and all
 # seeds, without an interval.

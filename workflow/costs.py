@@ -16,7 +16,7 @@ from agility_ref.results.table1 import table_lines
 from agility_ref.training.policies import POLICIES, find_policy, requirements
 from agility_ref.training.weights import manifest
 
-CELL = 0.2  # [min] of one core, 64 episodes
+CELL = 0.1  # [min] of one core, 64 episodes
 LEFT_OUT = ("oracle", "post-gen")  # nothing to train; not in workflow/config.yaml
 
 

@@ -134,7 +134,7 @@ def evaluate(options: Evaluate) -> None:
     if options.json:
         print(json.dumps(figures, allow_nan=False))
         return
-    played = f"{figures['episodes']} episodes, {figures['environment_steps']} steps"
+    played = f"{figures['episodes']} episodes, {figures['control_steps']} control steps"
     print(f"{options.policy} on {options.environment}: {played}")
     for metric in METRICS:
         mean, std = figures[metric].values()

@@ -197,7 +197,7 @@ def _draw_rewards(axis, episode: Episode) -> None:
     """One row per term, each on its own scale; what it summed to stands on the right."""
     names = sorted(episode.reward_terms, key=lambda name: -episode.reward_terms[name].sum())
     rows = np.stack([episode.reward_terms[name] for name in names])
-    width = max(round(0.1 / episode.dt), 1)  # steps averaged in one cell of the picture, 0.1 s
+    width = max(round(0.1 / episode.dt), 1)  # steps averaged in one cell of the picture, about 0.1 s
     cells = np.add.reduceat(rows, np.arange(0, rows.shape[1], width), axis=1)
     scale = np.percentile(np.abs(cells), 98, axis=1, keepdims=True)
     extent = (0, cells.shape[1] * width * episode.dt, len(names) - 0.5, -0.5)

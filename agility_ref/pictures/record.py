@@ -27,9 +27,9 @@ FOLLOWED = ("foot_contact", "foot_on_edge", "waypoint_index")
 
 @dataclass(frozen=True)
 class Episode:
-    """One robot's episode of T control steps.
+    """One robot's episode of T steps.
 
-    Row t of every state array is the state **before** control step t; row t of ``target``
+    Row t of every state array is the state **before** step t; row t of ``target``
     and of ``reward_terms`` is what step t was asked to do and what it earned.
     """
 

@@ -71,7 +71,7 @@ class VideoConfig:
 
     width: int = 640  # [pixel]
     height: int = 480  # [pixel]
-    fps: int = 16  # Frames per second of the film; usual 10 to 50.
+    fps: int = 25  # Frames per second of the film; usual 8 to 25, the rate of the actions.
     speed: float = 1.0  # 1 for real time, 0.25 for slow motion.
     start: float = 0.0  # Where the film begins in the episode [s].
     seconds: float = 20.0  # How much of the episode is filmed [s].

@@ -1,4 +1,4 @@
-"""Live view: a policy at 50 Hz in the browser or in a window, and the same as a standalone page.
+"""Live view: a policy in real time in the browser or in a window, and the same as a standalone page.
 
 The page is drawn by viser (https://viser.studio), which needs no graphics on this machine.
 There is no password, so it listens on 127.0.0.1 only, and answers who asks for that machine by name;
@@ -75,7 +75,7 @@ class Session:
         self.wanted: int | None = None  # ... and named by the oracle there
 
     def step(self) -> None:
-        """Advance by one control step; a finished episode starts again on the same course."""
+        """Advance by one step; a finished episode starts again on the same course."""
         if self.skill_names:
             self.wanted = int(self.policy.labels[self.env.oracle_skill()[0]])
         if self.by_hand is not None:
@@ -287,7 +287,7 @@ def serve(
             steps += 1
             if steps % 25 == 0:
                 rate, counted = 25 / (time.monotonic() - counted), time.monotonic()
-                pace = "paused" if session.paused else f"{rate:.0f} control steps/s; real time is {1 / dt:.0f}"
+                pace = "paused" if session.paused else f"{rate:.0f} steps/s; real time is {1 / dt:.0f}"
                 status.content = f"{session.status()}\n\n{pace}"
             tick = max(tick + dt, time.monotonic() - 5 * dt)  # catch up a little, never a lot
             time.sleep(max(tick - time.monotonic(), 0.0))
@@ -350,7 +350,7 @@ def press(session: Session, key: int) -> None:
 
 
 def show(policy: Single | Hierarchy, environment: str, config: EvaluationConfig, steps: int | None = None) -> None:
-    """Play in real time until the window is closed, or for a number of control steps.
+    """Play in real time until the window is closed, or for a number of steps.
 
     Raises
     ------

@@ -5,7 +5,7 @@ also tell of odd behaviours: a leap abandoned midway for climb-up, a leap where 
 was wanted, and the beam policy that kicks the robot back from an up-step.  The paper gives no
 numbers for these, so the thresholds are ours.
 
-In:  recorded episodes of a selector, and of the oracle on the same courses; arrays (T,) over the control steps of one.
+In:  recorded episodes of a selector, and of the oracle on the same courses; arrays (T,) over the steps of one.
 Out: accuracy, confusion, flicker, collapse, places, regret, odd behaviours, JSON-ready; figures; a report.
 
 A wrong choice is one that is not the oracle's, which need not be one that fails: only the

@@ -187,10 +187,9 @@ class Evidence:
         return Finding(claim, tuple(found for row in claim.rows for found in self.measure(row)))
 
     def measure(self, row: Row) -> list[Comparison]:
-        """Measure one row of the table; an ablation of several lengths gives several comparisons."""
+        """Measure one row of the table."""
         if row.metric == "ablation":
-            names = sorted({r["ablation"] for r in self.ablations if r["ablation"].startswith(row.b)})
-            return [self._ablation(row.a, name) for name in names or [row.b]]
+            return [self._ablation(row.a, row.b)]
         if row.metric.endswith("level"):
             sign = 1 if row.metric == "early level" else -1
             return [over_seeds(f"{row.a}: {row.metric}", sign * self._levels(row.a, row.metric == "final level"))]
@@ -250,17 +249,17 @@ class Evidence:
             found.append(np.mean([ours - theirs for ours, theirs in levels]))
         return np.array(found)
 
-    def _ablation(self, baseline: str, name: str) -> Comparison:
-        """Compare the baseline with one ablation, per seed and policy, each at the end of its training."""
+    def _ablation(self, one: str, other: str) -> Comparison:
+        """Compare two ablations, per seed and policy, each at the end of its training; the baseline is one of them."""
         last: dict[tuple[str, str, int], tuple[int, float]] = {}
         for row in self.ablations:
             key = (row["ablation"], row["policy"], row["seed"])
             last[key] = max(last.get(key, (-1, nan)), (row["steps"], row["waypoint_fraction"]))
-        both = {(p, s) for a, p, s in last if a == name and (baseline, p, s) in last}
+        both = {(p, s) for a, p, s in last if a == other and (one, p, s) in last}
         policies = sorted({p for p, _ in both})
         seeds = sorted(s for s in {s for _, s in both} if all((p, s) in both for p in policies))
-        differences = [[last[baseline, p, s][1] - last[name, p, s][1] for p in policies] for s in seeds]
-        return over_seeds(f"{baseline} - {name}" + (f" ({', '.join(policies)})" if policies else ""), differences)
+        differences = [[last[one, p, s][1] - last[other, p, s][1] for p in policies] for s in seeds]
+        return over_seeds(f"{one} - {other}" + (f" ({', '.join(policies)})" if policies else ""), differences)
 
 
 def paper_mean(policy: str, environment: str, metric: str) -> float:
@@ -273,8 +272,8 @@ def paper_mean(policy: str, environment: str, metric: str) -> float:
 def read_ablations(path: Path) -> list[dict]:
     """Read the file of ablations; an empty list where there is none.
 
-    Rows named ``baseline`` are compared with those named ``no-curriculum`` and
-    ``action-repeat-<k>`` of the same policy and seed; of several steps the last count.
+    Rows named ``baseline`` are compared with those named ``no-curriculum`` and ``action-repeat-1``
+    of the same policy and seed; of several steps the last count.
 
     Raises
     ------

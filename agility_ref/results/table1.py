@@ -219,7 +219,8 @@ HEADINGS = {
 DIGITS = {"reward": 2, "episode_length": 0, "waypoint_fraction": 2, "edge_violation": 2}
 NOTES = (
     "Mean ± standard deviation over episodes, as the paper prints it: the spread between episodes, not the uncertainty "
-    "of the mean.  Rewards cannot be compared with the paper's: the weights of the terms differ.",
+    "of the mean.  Rewards cannot be compared with the paper's: the weights of the terms differ.  Episode length is in "
+    "control steps of 20 ms, as in the paper; an action lasts two.",
     "Interquartile mean over the episodes of all training seeds, with its 95 % interval, bootstrapped over seeds and "
     "episodes; success is the share of episodes that reach all 8 waypoints, with Wilson's 95 % interval for the episodes of "
     "one seed, widened by the bootstrap where there are several.  With one training seed the intervals cover the episodes alone and say nothing of how another training would have turned out.  Steps are "

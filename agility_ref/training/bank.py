@@ -217,7 +217,7 @@ def load_skill(path: Path, env: EnvConfig) -> Policy:
 
     Raises
     ------
-    UserError : unreadable, a selector, or trained with another control period or with actions that mean something else
+    UserError : unreadable, a selector, or trained with another time between actions or with actions that mean something else
     """
     policy = Policy.load(path)
     _check_shape(policy, OBS_DIM, ACTION_DIM)

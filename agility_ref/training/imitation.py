@@ -80,7 +80,7 @@ class FineTuneConfig:
     std: float = 0.2  # exploration noise at the start; usual 0.1 to 0.3
     critic_steps: int = 500_000  # environment steps in which the new critic learns alone; usual 100,000 to 1,000,000
     critic_learning_rate: float = 5e-4  # step size of the critic, which does not follow the actor's small ones
-    num_steps: int = 64  # control steps per robot and iteration, in place of ppo.num-steps
+    num_steps: int = 64  # steps per robot and iteration, in place of ppo.num-steps
     target_kl: float = 0.01  # KL divergence per minibatch, in place of ppo.target-kl; usual 0.003 to 0.01
     learning_rate_min: float = 1e-5  # floor of the adaptive rate, in place of ppo.learning-rate-min
     anneal_share: float = 1.0

@@ -20,7 +20,7 @@ class PolicySpec:
     name: str
     label: str  # as the paper prints it, where it does
     method: str  # ppo, oracle, supervised (selector), ppo-selector or distilled
-    courses: tuple[str, ...] = ()  # course kinds it trains on, in equal shares
+    courses: tuple[str, ...] = ()  # course kinds it trains on; the curriculum says how often each
     budget: tuple[int, int] = (0, 0)  # environment steps under (quick, full), warm start included
     warm_start: str | None = None  # policy whose weights it starts from
     skills: tuple[str, ...] = ()  # frozen policies that a selector chooses from, in the order of its outputs
@@ -39,12 +39,12 @@ THREE = ("walk", "climb", "leap")
 SEVEN = ("climb-up", "climb-down", "climb", "gap", "beam", "walk", "climb-gap")  # all kinds of course
 
 _SPECS = (
-    PolicySpec("climb-up", "CU", "ppo", ("climb-up",), (3 * M, 8 * M), "walk"),
-    PolicySpec("climb-down", "CD", "ppo", ("climb-down",), (3 * M, 5 * M), "walk"),
-    PolicySpec("leap", "Leap", "ppo", ("gap",), (5 * M, 15 * M), "walk"),
-    PolicySpec("beam", "Beam", "ppo", ("beam",), (3_500_000, 12 * M), "walk"),
+    PolicySpec("climb-up", "CU", "ppo", ("climb-up",), (2_400_000, 6 * M), "walk"),
+    PolicySpec("climb-down", "CD", "ppo", ("climb-down",), (2 * M, 4 * M), "walk"),
+    PolicySpec("leap", "Leap", "ppo", ("gap",), (4 * M, 12 * M), "walk"),
+    PolicySpec("beam", "Beam", "ppo", ("beam",), (3 * M, 10 * M), "walk"),
     PolicySpec("walk", "Walk", "ppo", ("walk",), (1_200_000, 2 * M)),
-    PolicySpec("climb", "Climb", "ppo", ("climb",), (3_500_000, 8 * M), "walk"),
+    PolicySpec("climb", "Climb", "ppo", ("climb",), (3 * M, 6 * M), "walk"),
     PolicySpec("oracle", "Oracle", "oracle", skills=FIVE),
     PolicySpec(
         "ps-rl-3-env", "PS-RL-3 (env)", "ppo-selector", ("climb", "gap", "climb-gap"),
@@ -55,10 +55,10 @@ _SPECS = (
         (300_000, 2 * M), skills=THREE, reward="oracle",
     ),
     PolicySpec("ps-sl-5", "PS-SL-5", "supervised", SEVEN, (300_000, 1 * M), skills=FIVE),
-    PolicySpec("gen-3", "GEN-3", "ppo", ("climb", "gap", "walk"), (6 * M, 21 * M), "walk"),
+    PolicySpec("gen-3", "GEN-3", "ppo", ("climb", "gap", "walk"), (5_800_000, 16 * M), "walk"),
     PolicySpec(
         "gen-5", "GEN-5", "ppo", ("climb-up", "climb-down", "gap", "beam", "walk"),
-        (8 * M, 34 * M), "walk",
+        (7_800_000, 26 * M), "walk",
     ),
     PolicySpec("distilled", "Distilled", "distilled", SEVEN, (300_000, 1 * M), teachers=FIVE),
     PolicySpec(

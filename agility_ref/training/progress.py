@@ -102,17 +102,19 @@ class ProgressLog:
     """The progress bar and progress.csv of one run; averages over the last 200 episodes.
 
     ``done`` of its ``total`` steps are spent when it begins; ``rows`` are those of before, and
-    ``episodes`` (n, 4) the last that were played, as :meth:`last_episodes` gives them.
+    ``episodes`` (n, 4) the last that were played, as :meth:`last_episodes` gives them.  A step is
+    ``action_repeat`` control steps, which is what ``episode_length`` counts.
     """
 
     def __init__(
-        self, name: str, folder: Path, rows: list[dict], episodes: np.ndarray, done: int, total: int, quiet: bool
-    ):
+        self, name: str, folder: Path, rows: list[dict], episodes: np.ndarray, done: int, total: int,
+        action_repeat: int, quiet: bool,
+    ):  # fmt: skip
         from tqdm import tqdm
 
         self.path, self.rows, self.episodes = folder / "progress.csv", rows, deque(maxlen=200)
         self.episodes.extend(dict(zip(EPISODE, episode.tolist(), strict=True)) for episode in episodes)
-        self.written = 0
+        self.written, self.action_repeat = 0, action_repeat
         self.bar = tqdm(
             total=total,
             initial=done,
@@ -133,7 +135,7 @@ class ProgressLog:
 
         length = max(mean("length"), 1.0)
         figures = record | {
-            "wall_seconds": wall_seconds, "reward": mean("reward"), "episode_length": mean("length"),
+            "wall_seconds": wall_seconds, "reward": mean("reward"), "episode_length": mean("length") * self.action_repeat,
             "waypoint_fraction": mean("waypoints") / NUM_WAYPOINTS, "edge_violation": mean("edge") / length, "level": level,
         }  # fmt: skip
         row = {key: f"{figures[key]:.6g}" if key != "steps" else figures[key] for key in PROGRESS}

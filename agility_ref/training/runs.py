@@ -77,6 +77,7 @@ class TrainConfig(WeightsConfig):
     overwrite: bool = False  # replace a finished run
     warm_start: bool = True  # start from the policy that the table of policies names; False for from scratch
     warm_std: float = 0.5  # exploration noise after a warm start; usual 0.3 to 0.8
+    walk_gamma: float = 0.98  # discount of `walk`, in place of ppo.gamma; at 0.99 its trot is loose
     sight: bool = True
     """Let the trained policy see ground no higher or lower than its own courses show it; not for selectors and distilled policies."""
     ppo: PPOConfig = PPOConfig()  # hyper-parameters of PPO
@@ -191,15 +192,23 @@ def _goes_on_from_distilled(spec: PolicySpec) -> bool:
     return spec.warm_start is not None and find_policy(spec.warm_start).method == "distilled"
 
 
+def ppo_config(spec: PolicySpec, config: TrainConfig) -> PPOConfig:
+    """Return the hyper-parameters that a policy learns with."""
+    if spec.method == "ppo-selector":
+        return replace(config.ppo, ent_coef=config.selector_ent_coef)
+    if spec.warm_start is None:
+        return replace(config.ppo, gamma=config.walk_gamma)
+    if _goes_on_from_distilled(spec) and config.warm_start:
+        return config.fine_tune.apply(config.ppo)
+    return config.ppo
+
+
 def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool, draw: Draw | None) -> None:
     total = config.steps or spec.steps(config.preset)
-    ppo = config.ppo
+    ppo = ppo_config(spec, config)
     selector = spec.method == "ppo-selector"
     if selector:
-        ppo = replace(ppo, ent_coef=config.selector_ent_coef)
         config = replace(config, curriculum=replace(config.curriculum, enabled=False))
-    elif _goes_on_from_distilled(spec) and config.warm_start:
-        ppo = config.fine_tune.apply(ppo)
     robots, curriculum = make_env(spec, config)
     # What is seen mirrored asks for the same skill, and for the mirrored action.
     act_mirror = Mirror.identity(len(spec.skills)) if selector else ACTION_MIRROR
@@ -217,7 +226,7 @@ def _train_ppo(spec: PolicySpec, config: TrainConfig, folder: Path, quiet: bool,
     if learner.steps >= total and not rows:
         raise UserError(f"{total} steps leave nothing to train: {learner.steps} are spent, warm start included")
     _write_config(spec, config, folder)
-    log = ProgressLog(spec.name, folder, rows, episodes, learner.steps, total, quiet)
+    log = ProgressLog(spec.name, folder, rows, episodes, learner.steps, total, config.env.action_repeat, quiet)
     stop = StopRequest()
     last_drawn = time.monotonic()
     start = last_drawn - (float(rows[-1]["wall_seconds"]) if rows else 0.0)

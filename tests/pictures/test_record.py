@@ -35,7 +35,7 @@ def test_one_episode_a_robot_side_by_side_on_their_course(episodes):
 def test_shapes(episodes):
     for e in episodes:
         T = len(e)
-        assert T > 1 and e.time[-1] == pytest.approx((T - 1) * 0.02)
+        assert T > 1 and e.time[-1] == pytest.approx((T - 1) * 0.04)
         assert e.qpos.shape == (T, 19) and e.foot_pos.shape == (T, 4, 3)
         assert e.foot_contact.shape == e.foot_on_edge.shape == (T, 4)
         assert e.torque.shape == e.target.shape == (T, 12)
@@ -96,7 +96,7 @@ def test_bad_input_is_a_user_error(random_policy, environment, courses):
         record(random_policy, environment, CONFIG, courses)
 
 
-SHORT = EnvConfig(episode_seconds=0.6)
+SHORT = EnvConfig(episode_seconds=1.2)  # 30 steps, each of two control steps
 FEW = EvaluationConfig(episodes=3, seed=1)
 
 
@@ -109,8 +109,8 @@ def test_a_recording_is_the_evaluation_step_by_step(five_skills, environment):
     hierarchy = Hierarchy("leaper", tuple(five_skills.values()), lambda o, env: np.full(len(o), 3), np.arange(5))
     played, evaluation = episodes_of(hierarchy, environment), evaluate(hierarchy, environment, FEW, SHORT)
     np.testing.assert_array_equal([e.reached / 8 for e in played], evaluation.waypoint_fraction)
-    np.testing.assert_array_equal(list(map(len, played)), evaluation.episode_length)
-    steps = max(evaluation.episode_length)
+    np.testing.assert_array_equal([2 * len(e) for e in played], evaluation.episode_length)
+    steps = max(map(len, played))
     np.testing.assert_array_equal(side_by_side(played, "skill", -1), evaluation.skill[:steps])
     np.testing.assert_array_equal(side_by_side(played, "wanted", -1), evaluation.oracle[:steps])
     assert [e.course for e in played] == evaluation_env(environment, FEW).world.courses
@@ -131,7 +131,7 @@ def test_shapes_and_ends(five_skills):
     assert [len(e) for e in played] == [3, 30, 30]
     np.testing.assert_array_equal(side_by_side(played, "skill", -1)[:, 0], [1] * 3 + [-1] * 27)
     assert side_by_side(played, "qvel").shape == (30, 3, 18) and not side_by_side(played, "qvel")[3:, 0].any()
-    assert played[0].skills == tuple(SKILLS) and played[0].dt == 0.02
+    assert played[0].skills == tuple(SKILLS) and played[0].dt == 0.04
 
 
 def test_velocity_moves_the_position(five_skills):

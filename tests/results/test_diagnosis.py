@@ -180,7 +180,7 @@ def weights(monkeypatch, tmp_path, finished_run):
     finished_run(tmp_path / "runs", "ps-sl-5", obs_dim=NUM_SCANDOTS, act_dim=5)
     finished_run(tmp_path / "runs", "ps-rl-3-oracle", act_dim=3)
     original = evaluate.evaluation_env
-    short = EnvConfig(episode_seconds=0.3)
+    short = EnvConfig(episode_seconds=0.6)
     monkeypatch.setattr(diagnosis, "evaluation_env", lambda environment, config: original(environment, config, short))
 
 
@@ -242,7 +242,7 @@ def test_a_long_obstacle_is_near_along_its_whole_span(make_episode):
 
 W, U, D, L, B = range(5)  # walk, climb-up, climb-down, leap, beam
 
-# --- odd behaviours: detectors by hand, control steps of 0.02 s ----------------------------
+# --- odd behaviours: detectors by hand, steps of 0.02 s ----------------------------
 
 
 def test_onsets_and_duration_of_runs():

@@ -66,8 +66,8 @@ def test_the_record_names_every_number(policy):
     assert record["output"]["labels"] == list(JOINTS) and record["output"]["unit"].startswith("0.3 rad")
     meta = {"config": {"env": {"action_scale": 0.2}}}
     assert describe(replace(policy, meta=meta))["output"]["scale_rad"] == 0.2
-    # 2 steps of 10 ms; held for 3 of them; 4 steps of 5 ms, held for 2
-    assert record["output"]["period_s"] == pytest.approx(0.02)
+    # 2 steps of 10 ms, held twice; held for 3 of them; 4 steps of 5 ms, held for 2
+    assert record["output"]["period_s"] == pytest.approx(0.04)
     for env, period in (
         ({"action_repeat": 3}, 0.06),
         ({"action_repeat": 2, "physics": {"timestep": 0.005, "substeps": 4}}, 0.04),

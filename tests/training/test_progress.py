@@ -8,7 +8,7 @@ import pytest
 
 
 def a_log(folder, episodes=(), done=0):
-    return ProgressLog("walk", folder, [], np.reshape(episodes, (-1, len(EPISODE))), done, 1000, quiet=True)
+    return ProgressLog("walk", folder, [], np.reshape(episodes, (-1, len(EPISODE))), done, 1000, 2, quiet=True)
 
 
 def test_averages_go_on_where_they_were(tmp_path):
@@ -18,7 +18,7 @@ def test_averages_go_on_where_they_were(tmp_path):
     log.add(dict.fromkeys(PROGRESS, 0.0) | {"steps": 96, "episodes": [episode] * 10}, 0.0, 0.0, {})
     figures = {key: float(value) for key, value in log.rows[-1].items()}
     assert figures["reward"] == pytest.approx(1.9)  # (190 2 + 10 0) / 200
-    assert figures["episode_length"] == pytest.approx(97.5)  # (190 100 + 10 50) / 200
+    assert figures["episode_length"] == pytest.approx(195)  # 2 (190 100 + 10 50) / 200
     assert figures["waypoint_fraction"] == pytest.approx(0.525)  # (190 4 + 10 8) / 200 / 8
     assert figures["edge_violation"] == pytest.approx(23.75 / 97.5, rel=1e-5)  # 25 feet an episode, 190 of 200
     np.testing.assert_array_equal(log.last_episodes()[[0, -1]], [[2, 100, 4, 25], [0, 50, 8, 0]])
@@ -31,7 +31,7 @@ def test_the_bar_of_a_warm_start_begins_where_it_left_off(tmp_path):
 @pytest.mark.parametrize("stream", [None, io.StringIO()])
 def test_without_a_terminal_there_is_no_bar(tmp_path, monkeypatch, stream):
     monkeypatch.setattr("sys.stderr", stream)
-    assert ProgressLog("walk", tmp_path, [], np.zeros((0, 4)), 0, 1000, quiet=False).bar.disable
+    assert ProgressLog("walk", tmp_path, [], np.zeros((0, 4)), 0, 1000, 2, quiet=False).bar.disable
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from agility_ref.training.imitation import DistillConfig, FineTuneConfig, Superv
 from agility_ref.training.lock import locked
 from agility_ref.training.policies import find_policy
 from agility_ref.training.progress import PROGRESS
-from agility_ref.training.runs import TrainConfig, train_policy
+from agility_ref.training.runs import TrainConfig, ppo_config, train_policy
 from agility_ref.training.state import learner_state, policy_arrays
 
 import numpy as np
@@ -431,14 +431,14 @@ def test_a_picture_that_fails_is_a_warning(config, capsys):
 
 def test_averages_are_of_what_was_played(config, monkeypatch):
     """Stopped and resumed, the averages are those of the run that was not stopped."""
-    short = replace(config, env=replace(config.env, episode_seconds=0.06), steps=6 * BATCH)
+    short = replace(config, env=replace(config.env, episode_seconds=0.12), steps=6 * BATCH)
     whole = train_policy("walk", replace(short, out=f"{config.out}/whole"), quiet=True)
     with monkeypatch.context() as patch, pytest.raises(SystemExit):
         killed_in_iteration(3, patch)
         train_policy("walk", short, quiet=True)
     parts = train_policy("walk", short, quiet=True)
     assert [row["episode_length"] for row in progress(parts)] == [row["episode_length"] for row in progress(whole)]
-    assert float(progress(parts)[-1]["episode_length"]) == 3
+    assert float(progress(parts)[-1]["episode_length"]) == 6  # control steps
 
 
 def test_nothing_is_invented_where_no_episode_has_ended(config, monkeypatch):
@@ -572,8 +572,8 @@ def test_from_scratch_needs_nothing(config, tmp_path):
 
 @pytest.mark.parametrize("field, value, message", [
     ("action_scale", 0.25, r"trained with env\.action-scale 0\.25, this task has 0\.3"),
-    ("action_repeat", 2, r"trained with env\.action-repeat 2, this task has 1"),
-    ("physics", {"timestep": 0.01, "substeps": 4}, r"trained to act every 0\.04 s, this task asks every 0\.02 s"),
+    ("action_repeat", 1, r"trained with env\.action-repeat 1, this task has 2"),
+    ("physics", {"timestep": 0.01, "substeps": 4}, r"trained to act every 0\.08 s, this task asks every 0\.04 s"),
 ])  # fmt: skip
 def test_policies_of_another_action_are_refused(config, tmp_path, finished_run, field, value, message):
     finished_run(tmp_path, "walk", steps=BATCH, config={"env": {field: value}})
@@ -629,6 +629,12 @@ def test_a_selector_does_not_go_on_over_another_skill(config, tmp_path, finished
     finished_run(tmp_path, "leap", gain=50.0)
     with pytest.raises(UserError, match="was started over another leap"):
         train_policy("ps-rl-3-env", replace(config, steps=1000), quiet=True)
+
+
+def test_what_learns_to_walk_has_a_discount_of_its_own(config):
+    names = ("walk", "climb", "gen-5", "ps-rl-3-env", "post-gen")
+    config = replace(config, walk_gamma=0.9, ppo=replace(TINY, gamma=0.95))
+    assert [ppo_config(find_policy(name), config).gamma for name in names] == [0.9, 0.95, 0.95, 0.95, 0.95]
 
 
 def test_selectors_have_an_entropy_bonus_of_their_own_and_no_curriculum(config, tmp_path, finished_run, monkeypatch):

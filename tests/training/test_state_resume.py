@@ -20,7 +20,7 @@ BATCH = 30
 def config(tmp_path, monkeypatch):
     """Episodes of at most 12 steps, so that many end, pushes every 3, and two levels."""
     monkeypatch.setattr("agility_ref.training.weights.shipped", lambda *key: None)
-    env = replace(TRAINING, episode_seconds=0.24, push_interval=0.06)
+    env = replace(TRAINING, episode_seconds=0.48, push_interval=0.12)
     return TrainConfig(
         preset="quick", out=str(tmp_path), steps=8 * BATCH, ppo=PPO, env=env, warm_start=False,
         curriculum=CurriculumConfig(num_levels=2, variants=2),

@@ -1,6 +1,6 @@
 """Rewards, waypoints and the end of an episode, from a log.
 
-A log holds T control steps of N robots: every array has the axes **(T, N, ...), time first**.  Vectors are those of
+A log holds T steps of N robots: every array has the axes **(T, N, ...), time first**.  Vectors are those of
 the **world** (x ahead, y left, z up); quaternions have their **real part last**, (x, y, z, w), and turn vectors of
 the trunk into those of the world.  Feet come in the order FL, FR, RL, RR.
 """
@@ -12,7 +12,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Log:
-    """What was recorded, after every control step."""
+    """What was recorded, after every step."""
 
     position: np.ndarray
     """(T, N, 3) of the trunk [m]."""
