@@ -280,7 +280,6 @@ for name, numbers in found.items():
 # resamples seeds and courses together and is too short, as 8.4 has shown, and the third, about recipes, is Student's over
 # one difference per seed; with fewer than three seeds `findings.py` gives none, and leaves the claim undecided.
 
-
 # %%
 figure, axes = new_figure(1, 1, (8.0, 3.6))
 axis, row, labels = axes[0, 0], 0, []
