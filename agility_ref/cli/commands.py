@@ -216,7 +216,7 @@ def table1(options: Table1) -> None:
         f"mean ± std over episodes; wrote {', '.join(map(str, paths))}"
     )
     for comparison in findings.compare(cells, options.compare):
-        print(f"{comparison.text:40} {comparison!s:24} {comparison.seeds} seeds")
+        print(f"{comparison.text:40} {comparison!s:24} seeds: {comparison.seeds}")
     if options.findings:
         ablations = options.ablations or f"benchmarks/results/ablations-{config.preset}.csv"
         checked = findings.check(cells, training, Path(ablations))

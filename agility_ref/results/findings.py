@@ -340,7 +340,7 @@ def text(findings: list[Finding]) -> str:
         lines += ["", f"{f.verdict.upper()}: {f.claim.text} ({f.claim.section})"]
         for c in f.comparisons:
             paper = "" if isnan(c.paper) else f"paper {c.paper:+.2f}"
-            lines.append(f"    {c.text:{width}}  {c!s:24} {c.verdict:15} {c.seeds:2} seeds  {paper}".rstrip())
+            lines.append(f"    {c.text:{width}}  {c!s:24} {c.verdict:15} seeds: {c.seeds}  {paper}".rstrip())
     if usual_seeds(findings) == 1:
         lines += ["", f"One training seed: {ONE_SEED}"]
     return "\n".join(lines[1:])

@@ -287,7 +287,7 @@ def test_table1_compares(capsys, tmp_path, finished_run, short_episodes):
     assert main("table1 --episodes 2 --compare walk leap".split()) == 0
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("walk - leap on")]
     assert [line.split()[4] for line in lines] == ["climb-gap", "gap", "beam", "climb"]
-    assert all(line.endswith("1 seeds") for line in lines)
+    assert all(line.endswith("seeds: 1") for line in lines)
 
 
 @pytest.mark.parametrize("words, message", [
