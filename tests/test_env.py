@@ -119,10 +119,8 @@ def test_same_seed_same_trajectory_at_any_thread_count(kind):
 
 
 def test_reset_with_a_seed_starts_over():
-    env, actions = (
-        make_env(config=EnvConfig(scandot_period=2)),
-        random_actions(11, 4),
-    )  # an odd number: half the robots have looked
+    env = make_env(config=EnvConfig(scandot_period=2))
+    actions = random_actions(11, 4)  # an odd number: half the robots have looked
     first_a, _ = env.reset(9)
     a = rollout(env, actions)
     first_b, _ = env.reset(9)

@@ -269,9 +269,8 @@ def test_ablations(effect, seeds, verdict):
 
 @pytest.mark.parametrize("gain, verdict", [(0.3, REPRODUCED), (-0.3, NOT_REPRODUCED)])
 def test_action_stacking_hurts_if_policies_without_it_are_better(gain, verdict):
-    finding = judge(
-        "action-stacking", ablations=ablation_rows(-gain, "action-repeat-1")
-    )  # 0.8 + gain, against 0.80 to 0.82
+    rows = ablation_rows(-gain, "action-repeat-1")  # 0.8 + gain, against 0.80 to 0.82
+    finding = judge("action-stacking", ablations=rows)
     assert [c.text for c in finding.comparisons] == ["action-repeat-1 - baseline (climb, leap)"]
     assert finding.comparisons[0].difference == pytest.approx(gain - 0.01)
     assert finding.verdict == verdict
